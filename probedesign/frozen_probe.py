@@ -302,8 +302,8 @@ def load_model(path: str | Path, manifest: str | Path | None = None) -> ProbeMod
             f"{path}: not a complete frozen probe ({type(error).__name__}: {error}); deploy it again"
         ) from None
     beside = path.parent / "manifest.json"
-    for found in [Path(manifest)] if manifest is not None else [beside] if beside.exists() else []:
-        check_manifest(model.parts or {"probe": model.fingerprint}, found)
+    for checked in [Path(manifest)] if manifest is not None else [beside] if beside.exists() else []:
+        check_manifest(model.parts or {"probe": model.fingerprint}, checked)
     return model
 
 

@@ -120,13 +120,14 @@ def sample_prediction(
 
     An interrupted run resumes from the folder `checkpoint`; None keeps no checkpoint.
     """
-    from probedesign.prediction.fused import shown
+    from probedesign.prediction.fused import SHOWN_N, worst
     from probedesign.prediction.monte_carlo import MonteCarloPlan, run_monte_carlo
 
     plan = MonteCarloPlan(probe.model, probe.tolerances, draws, seed, prediction.pressing)
     results = run_monte_carlo(
-        plan, prediction, checkpoint, lambda share: on_progress("Monte Carlo", share), fused=shown(prediction.fused)
-    )
+        plan, prediction, checkpoint, lambda share: on_progress("Monte Carlo", share),
+        fused=worst(prediction.fused, SHOWN_N),
+    )  # fmt: skip
     return replace(prediction, monte_carlo=results)
 
 
@@ -158,9 +159,9 @@ def identify(design: "Design", campaign: "Campaign", names: Sequence[str], accep
     from probedesign.probe import build_probe
 
     probe = build_probe(design)
-    found = run(data_of(campaign, probe.model, _flange_volume(probe)), names, accept)
-    used = {one.test for one in found.residuals}
-    return replace(found, served=tuple(test.digest for test in campaign.tests if test.name in used))
+    identified = run(data_of(campaign, probe.model, _flange_volume(probe)), names, accept)
+    used = {residual.test for residual in identified.residuals}
+    return replace(identified, served=tuple(test.digest for test in campaign.tests if test.name in used))
 
 
 def plan(design: "Design", minutes: float, names: Sequence[str], instruments: "Instruments", held_out: int) -> "Plan":

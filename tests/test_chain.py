@@ -13,7 +13,7 @@ from probedesign.campaigns import read_campaign
 from probedesign.cli import demo
 from probedesign.cli.main import run
 from probedesign.core.errors import MissingDependencyError
-from probedesign.design.io import draft_design, render_design
+from probedesign.design.io import new, notes_of, render_design
 from probedesign.live.blocks import iter_readings
 from probedesign.live.processing.chain import ProcessingOptions
 from probedesign.live.recordings.csv import write_recording
@@ -113,7 +113,8 @@ def test_deploy_replaces_frozen_probes_only(workplace, capsys):
 def test_demo_does_not_replace_an_edited_design(workplace, capsys):
     folder = workplace / "d"
     folder.mkdir()
-    edited = render_design(*draft_design("demo", shape="cone", length_mm=120.0, base_d_mm=12.0))
+    drafted = new("demo", length_mm=120.0, base_d_mm=12.0)
+    edited = render_design(drafted, notes_of(drafted))
     (folder / "demo.toml").write_text(edited)
     assert run(["demo", "--out", "d"]) == 2
     assert "--force" in capsys.readouterr().err

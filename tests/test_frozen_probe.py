@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from probedesign import frozen_probe
 from probedesign.core.errors import InputError
 from probedesign.design import check_design, load_design, parse_design
-from probedesign.design.io import draft_design
+from probedesign.design.io import new
 from probedesign.design.sensors import Noise
 from probedesign.estimation.model import Tolerances
 from probedesign.frozen_probe import check_manifest, deploy_model, freeze, load_estimator, load_model, write_frozen
@@ -100,7 +100,7 @@ def probes(draw):
     base_d = draw(st.floats(4.0, 20.0))
     section = draw(st.sampled_from(["round", "hollow", "elliptic"]))
     tip = draw(st.sampled_from(["blunt", "rounded"] if section == "round" else ["blunt"]))
-    design, _ = draft_design(
+    design = new(
         "drawn",
         shape="cone",
         length_mm=draw(st.floats(40.0, 180.0)),

@@ -86,47 +86,47 @@ def calibrate(
             blocks = stream if seconds is None else limit_duration(stream, seconds)
             for block in takewhile(lambda _: count is None or len(collector.rests) < count, blocks):
                 collector.add(block)
-    found = calibrate(model, collector.finish(), poses.gravity_world, tool=tool)
-    result = found.as_dict()
+    fit = calibrate(model, collector.finish(), poses.gravity_world, tool=tool)
+    result = fit.as_dict()
     if tool:
         write_atomically(out, json_bytes({"kind": KIND, "schema": 1, **result}), replace=force)
     else:
-        write_frozen(found.calibrated(), out)
+        write_frozen(fit.calibrated(), out)
     if as_json:
         print_json({"file": out, **result})
         return
-    _print(found)
+    _print(fit)
     print(f"wrote {out}")
 
 
-def _print(found: "FreeMotionFit") -> None:
+def _print(fit: "FreeMotionFit") -> None:
     from scipy.spatial.transform import Rotation
 
     from probedesign.live.processing.payload import BIAS, MASS, RATE, STIFFNESS, TURN
 
-    std, model = found.std, found.model
+    std, model = fit.std, fit.model
     numbers: dict[str, tuple[Iterable[float], Iterable[float], list[float], str]] = {
-        "bias": (found.x[BIAS], std[BIAS], [1e-3] * 6, "mN, N·mm"),
-        "its drift": (found.x[RATE], std[RATE], [1e-3 / 60.0] * 6, "mN, N·mm a minute"),
-        "payload": ([found.mass], [std[MASS]], [GRAM], "g"),
-        "its centre": (found.p_com, np.sqrt(np.diag(found.cov_com)), [MM] * 3, "mm in sensor axes"),
-        "mount": (Rotation.from_matrix(found.R).as_rotvec(), std[TURN], [math.radians(1.0)] * 3, "° about x, y, z"),
+        "bias": (fit.x[BIAS], std[BIAS], [1e-3] * 6, "mN, N·mm"),
+        "its drift": (fit.x[RATE], std[RATE], [1e-3 / 60.0] * 6, "mN, N·mm a minute"),
+        "payload": ([fit.mass], [std[MASS]], [GRAM], "g"),
+        "its centre": (fit.p_com, np.sqrt(np.diag(fit.cov_com)), [MM] * 3, "mm in sensor axes"),
+        "mount": (Rotation.from_matrix(fit.R).as_rotvec(), std[TURN], [math.radians(1.0)] * 3, "° about x, y, z"),
     }  # fmt: skip
-    if not found.tool:
-        E = math.exp(found.x[STIFFNESS]) * model.rod.youngs_modulus
+    if not fit.tool:
+        E = math.exp(fit.x[STIFFNESS]) * model.rod.youngs_modulus
         numbers["E"] = ([E], [std[STIFFNESS] * E], [MPA], "MPa")
-    force, moment = (1e3 * np.sqrt((found.residuals[:, part] ** 2).mean()) for part in (slice(0, 3), slice(3, 6)))
-    print(f"{len(found.rests)} rests: {found.verdict}")
+    force, moment = (1e3 * np.sqrt((fit.residuals[:, part] ** 2).mean()) for part in (slice(0, 3), slice(3, 6)))
+    print(f"{len(fit.rests)} rests: {fit.verdict}")
     texts = {
         name: ", ".join(f"{v / u:.4g} ± {s / u:.2g}" for v, s, u in zip(values, stds, units, strict=True)) + f" {unit}"
         for name, (values, stds, units, unit) in numbers.items()
     }
     print_table({**texts, "residual": f"{force:.3g} mN, {moment:.3g} N·mm"})
-    T = found.calibrated().T_robotflange_base if not found.tool else None
+    T = fit.calibrated().T_robotflange_base if not fit.tool else None
     if T is not None:
         x, y, z = T[:3, 3] / MM
         rx, ry, rz = Rotation.from_matrix(T[:3, :3]).as_rotvec()
         print(f"  tool centre point of the robot: {x:.2f}, {y:.2f}, {z:.2f} mm, rotation vector {rx:.4f}, {ry:.4f}, "
               f"{rz:.4f} rad")  # fmt: skip
-    for note in found.notes:
+    for note in fit.notes:
         print(f"  note: {note}")

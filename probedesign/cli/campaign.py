@@ -262,7 +262,7 @@ def _line(test: "PhotographedTest") -> str:
     if test.problem:
         return f"left out: {test.problem}"
     count, shade = len(test.found[0].pixels), "dark" if test.found[0].dark else "light"
-    max_std = max(float(found.std_px.max()) for found in test.found)
+    max_std = max(float(markers.std_px.max()) for markers in test.found)
     reprojection = "" if math.isnan(test.residual_px) else f", reprojection residual {test.residual_px:.2f} px"
     return (
         f"{plural(count, f'{shade} marker')} in {plural(len(test.found), 'photograph')}, "

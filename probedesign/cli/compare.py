@@ -52,11 +52,13 @@ def compare(
             check_page_target(out)
         compared = side_by_side(loaded, task)
         if page:
-            name = f"compare-{'-'.join(one.design.name for one in compared)}.html"
+            name = f"compare-{'-'.join(entry.design.name for entry in compared)}.html"
             file = out or exports_of(designs[0]) / name
             write_atomically(file, comparison_page(compared, task))
     if as_json:
-        document = [{"name": one.design.name, **one.metrics.as_dict(), "fused_headline": one.fused} for one in compared]
+        document = [
+            {"name": entry.design.name, **entry.metrics.as_dict(), "fused_headline": entry.fused} for entry in compared
+        ]
         best = {name: best_design(compared, name) for name in METRICS}
         print_json({"task": task, "designs": document, "best": best, "page": file})
         return

@@ -91,15 +91,15 @@ def run_demo(folder: Path, force: bool, show: Callable[[str], object]) -> dict[s
     Raises:
         InputError: the folder has an edited design or other files, and `force` is not set.
     """
-    from probedesign.design.io import draft_design, render_design, write_design
+    from probedesign.design.io import new, notes_of, render_design, write_design
 
     made: dict[str, str] = {}
     skipped: list[str] = []
     sections = {name: demo_section(folder, name) for name in SECTIONS}
     print_step("designing a 150 mm cone, 12 mm at its base")
     design = folder / f"{NAME}.toml"
-    drafted, notes = draft_design(NAME, shape="cone", length_mm=150.0, base_d_mm=12.0)
-    text = render_design(drafted, notes)
+    drafted = new(NAME, length_mm=150.0, base_d_mm=12.0)
+    text = render_design(drafted, notes_of(drafted))
     if not force:
         unchanged = design.is_file() and design.read_text("utf-8") == text
         if folder.is_dir() and any(folder.iterdir()) and not unchanged:
@@ -186,16 +186,16 @@ def run_demo(folder: Path, force: bool, show: Callable[[str], object]) -> dict[s
 
 
 def _whisker(straight: "Probe", folder: Path, finish: Callable[..., None]) -> dict[str, str]:
-    from probedesign.design.io import draft_design, render_design, write_design
+    from probedesign.design.io import new, notes_of, render_design, write_design
     from probedesign.prediction.fused import SHOWN_N
     from probedesign.prediction.predict import FRACTIONS, HEADLINE_FRACTION, errors_over_directions
     from probedesign.probe import build_probe
     from probedesign.reports.prediction_charts import error_band_chart
 
-    drafted, notes = draft_design("whisker", shape="cone", length_mm=150.0, base_d_mm=12.0, axis="arc",
+    drafted = new("whisker", length_mm=150.0, base_d_mm=12.0, axis="arc",
                                   axis_bend_deg=60.0, axis_azimuth_deg=-90.0)  # fmt: skip
     path = folder / "whisker.toml"
-    write_design(render_design(drafted, notes), path, force=True)
+    write_design(render_design(drafted, notes_of(drafted)), path, force=True)
     over = {name: errors_over_directions(probe.estimator(), FRACTIONS, (SHOWN_N,))
             for name, probe in (("straight", straight), ("along an arc of 60°", build_probe(drafted)))}  # fmt: skip
     before, after = (rows[FRACTIONS.index(HEADLINE_FRACTION)].median_error_mm for rows in over.values())

@@ -86,16 +86,16 @@ def _numba_cache() -> dict[str, Any]:
         from probedesign.rod.kernels import cache
     except ImportError:  # numba is missing or does not run here
         return {"folder": "", "writable": True, "processor": "no processor", "kernels": 0}
-    places, folder = cache.folders(), cache.writable_folder.__wrapped__()
+    roots, folder = cache.folders(), cache.writable_folder.__wrapped__()
     kernels = {
         tuple(file.stem.split("-")[::2])  # function and types, whatever the version and the processor
-        for place in places
+        for root in roots
         for processor in cache.runs()
-        for file in (place / cache.version(processor)).glob(f"*{cache.SUFFIX}")
+        for file in (root / cache.version(processor)).glob(f"*{cache.SUFFIX}")
     }
     return {
         "folder": str(folder or ""),
-        "writable": folder == places[0] if os.environ.get("NUMBA_CACHE_DIR") else folder is not None,
+        "writable": folder == roots[0] if os.environ.get("NUMBA_CACHE_DIR") else folder is not None,
         "processor": cache.runs()[-1],
         "kernels": len(kernels),
     }
@@ -109,9 +109,9 @@ def _print(findings: dict[str, Any]) -> None:
         rows[package["name"]] = (package["version"] or "missing") + extra
     print_table(rows)
     cache = findings["numba_cache"]
-    place = f"new ones in {cache['folder']}" if cache["folder"] else "new ones cannot be saved"
+    folder = f"new ones in {cache['folder']}" if cache["folder"] else "new ones cannot be saved"
     remedy = "" if cache["writable"] else "; set NUMBA_CACHE_DIR to a folder that can be written"
-    print(f"compiled kernels: {cache['kernels']} for {cache['processor']}; {place}{remedy}")
+    print(f"compiled kernels: {cache['kernels']} for {cache['processor']}; {folder}{remedy}")
     for missing in findings["missing"]:
         note = f" ({missing['note']})" if missing["note"] else ""
         print(f"missing for {missing['needed_for']}{note}:\n  {missing['install']}")

@@ -85,11 +85,11 @@ def measured(
                          "--bow-mm X Y, one after the other")  # fmt: skip
     document: dict[str, Any]
     if axis is not None:
-        found = pipeline.measure_axis(start, axis)
-        factor = (found.factor, found.factor_std) if found.factor_std > 0.0 else None
-        changes = measured_print.axis_changes(start, found.bow_mm, found.bow_std_mm, factor, f"measured {day}")
-        document = found.as_dict()
-        what, lines = _axis_lines(found)
+        fitted = pipeline.measure_axis(start, axis)
+        factor = (fitted.factor, fitted.factor_std) if fitted.factor_std > 0.0 else None
+        changes = measured_print.axis_changes(start, fitted.bow_mm, fitted.bow_std_mm, factor, f"measured {day}")
+        document = fitted.as_dict()
+        what, lines = _axis_lines(fitted)
     elif bow_mm is not None:
         changes = measured_print.bow_changes(start, bow_mm, bow_std_mm, f"measured {day}")
         document = {"bow_mm": bow_mm, "bow_std_mm": bow_std_mm}
@@ -128,17 +128,17 @@ def _bow_test(bow_mm: tuple[float, float], std_mm: float) -> str:
     return f"the print is bent: {stated}" if chance < 0.05 else f"the print may be straight: {stated}"
 
 
-def _axis_lines(found: "MeasuredAxis") -> tuple[str, list[str]]:
-    x, y = found.bow_mm
-    what = (f"{plural(found.points, 'point')}; the axis deviates by a constant curvature that moves the tip by "
-            f"{x:.2f} mm towards X and {y:.2f} mm towards Y, ± {found.bow_std_mm:.2g} mm")  # fmt: skip
-    lines = [f"tolerance of the bow: {found.bow_std_mm:.2g} mm (before: {found.before_mm:.2g} mm)",
-             _bow_test(found.bow_mm, found.bow_std_mm),
-             f"the points are {found.rms_mm:.2g} mm from the fitted surface (RMS)"]  # fmt: skip
-    if found.scale > 1.0:
-        lines.append(f"note: they scatter by {found.scale:.1f} times their standard deviation, which was widened")
-    if found.factor_std > 0.0:
-        lines.append(f"the curvature is {found.factor:.4f} ± {found.factor_std:.2g} times that of the design, whose "
+def _axis_lines(fitted: "MeasuredAxis") -> tuple[str, list[str]]:
+    x, y = fitted.bow_mm
+    what = (f"{plural(fitted.points, 'point')}; the axis deviates by a constant curvature that moves the tip by "
+            f"{x:.2f} mm towards X and {y:.2f} mm towards Y, ± {fitted.bow_std_mm:.2g} mm")  # fmt: skip
+    lines = [f"tolerance of the bow: {fitted.bow_std_mm:.2g} mm (before: {fitted.before_mm:.2g} mm)",
+             _bow_test(fitted.bow_mm, fitted.bow_std_mm),
+             f"the points are {fitted.rms_mm:.2g} mm from the fitted surface (RMS)"]  # fmt: skip
+    if fitted.scale > 1.0:
+        lines.append(f"note: they scatter by {fitted.scale:.1f} times their standard deviation, which was widened")
+    if fitted.factor_std > 0.0:
+        lines.append(f"the curvature is {fitted.factor:.4f} ± {fitted.factor_std:.2g} times that of the design, whose "
                      "axis and fingerprint change with it")  # fmt: skip
     return what, [*lines, "deploy the probe again, with this design"]
 

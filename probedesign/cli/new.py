@@ -82,7 +82,8 @@ def new(
         printer: a known printer, such as form-3; an unknown name lists all.
         force: replace an existing design file.
     """
-    from probedesign.design.io import draft_design, known_sensor, render_design, write_design
+    from probedesign.design.io import known_sensor, notes_of, render_design, write_design
+    from probedesign.design.io import new as new_design
     from probedesign.mount.flange_adapter import fitting_flanges
     from probedesign.mount.mount import build_geometry, root_radii
     from probedesign.probe import build_probe
@@ -90,7 +91,7 @@ def new(
 
     try:
         fitting = fitting_flanges(known_sensor(sensor))
-        design, notes = draft_design(
+        design = new_design(
             name,
             shape=shape,
             length_mm=length,
@@ -112,7 +113,9 @@ def new(
             axis_turns=turns,
             axis_azimuth_deg=azimuth_deg,
         )
-        hints = []
+        notes, hints = notes_of(design), []
+        if tip_d is not None:
+            notes.pop("probe.tip_d_mm", None)
         if robot_flange is None and design.mount.robot_flange != DEFAULT_FLANGE:
             notes["mount.robot_flange"] = "the smallest known one with room for the sensor; set your robot's"
             hints.append(f"took {design.mount.robot_flange}: {DEFAULT_FLANGE} has no room for this sensor")

@@ -119,7 +119,7 @@ def advise(
         printer: a known printer.
         force: replace existing files.
     """
-    from probedesign.design.io import MIN_TIP_D_MM, TIP_RATIO, draft_design, known_sensor
+    from probedesign.design.io import MIN_TIP_D_MM, TIP_RATIO, known_sensor, new
     from probedesign.mount.flange_adapter import fitting_flanges
     from probedesign.optimization.constraints import OptimizationProblem, parse_limit
     from probedesign.optimization.design_space import LENGTH_MM
@@ -131,7 +131,7 @@ def advise(
         raise InputError(f"--tip-mm {tip_mm:g} is below the {MIN_TIP_D_MM:g} mm that a soft tip needs to be printed")
     # The start bends under the force by the same fraction of its length as the paper's large probe under 5 mN.
     base = 12.0 * (force_mN / 5.0 * (reach_mm / 150.0) ** 2) ** 0.25
-    start, _ = draft_design(
+    start = new(
         name or f"advised-{force_mN:g}mN-{reach_mm:g}mm",
         shape="cone",
         length_mm=min(round(1.02 * reach_mm, 1), LENGTH_MM[1]),
@@ -230,12 +230,12 @@ def _print(
                   "inside their 95 % ellipsoid")  # fmt: skip
     print(f"  active constraints: {', '.join(best.active_constraints) or 'none'}")
     ranked = sorted(best.worse, key=lambda row: (row.best_error_mm or math.inf) / row.start_error_mm, reverse=True)
-    for place in ranked[:MAX_SHOWN_CASES]:
-        error = "buckles" if place.best_error_mm is None else f"{place.best_error_mm:.3g} mm"
-        gravity = ",".join(f"{g:g}" for g in place.gravity_base_m_s2)
-        print(f"  larger error than the start at {place.contact_fraction:g} of the length, {1e3 * place.force_N:g} mN, "
-              f"gravity {gravity} m/s², direction {place.direction_deg:.3g}°: {error}, "
-              f"start {place.start_error_mm:.3g} mm")  # fmt: skip
+    for case in ranked[:MAX_SHOWN_CASES]:
+        error = "buckles" if case.best_error_mm is None else f"{case.best_error_mm:.3g} mm"
+        gravity = ",".join(f"{g:g}" for g in case.gravity_base_m_s2)
+        print(f"  larger error than the start at {case.contact_fraction:g} of the length, {1e3 * case.force_N:g} mN, "
+              f"gravity {gravity} m/s², direction {case.direction_deg:.3g}°: {error}, "
+              f"start {case.start_error_mm:.3g} mm")  # fmt: skip
     if len(ranked) > MAX_SHOWN_CASES:
         print(f"  and in {len(ranked) - MAX_SHOWN_CASES} more cases; --json lists all")
     print(f"  {best.n_evaluations} designs evaluated from {len(best.starts)} starts, objective: "

@@ -14,12 +14,10 @@ from probedesign.core.files import check_folder, exports_of
 from probedesign.core.units import format_value
 
 if TYPE_CHECKING:
-    from probedesign.prediction.fused import FusedCondition
-    from probedesign.prediction.predict import Condition, Prediction
+    from probedesign.prediction.fused import PredictedTouch
+    from probedesign.prediction.predict import Prediction
     from probedesign.prediction.workspace import Workspace
     from probedesign.probe import Probe
-
-    AnyCondition = Condition | FusedCondition
 
 #: Contact force of the printed error budget of fused touches, which are located at lower forces.
 FUSED_BUDGET_FORCE_N = 0.005
@@ -141,13 +139,13 @@ def print_tables(prediction: "Prediction", verbose: bool = True) -> None:
     print("  - : detected, not located   . : not detected   ^ : beyond the sensor's range   / : the probe buckles")
     if over := [row for row in prediction.over_directions if row.force_N in (0.002, 0.005, 0.01, 0.02)]:
         print("\nOver all directions of the force: RMS (median; worst) [mm]")
-        by_place: dict[float, list[str]] = {}
+        by_fraction: dict[float, list[str]] = {}
         for at in over:
             numbers = (at.rms_error_mm, at.median_error_mm, at.worst_error_mm)
             rms, median, largest = (format_value(value, ".2g") for value in numbers)
-            by_place.setdefault(at.contact_fraction, []).append(f"{rms} ({median}; {largest})")
+            by_fraction.setdefault(at.contact_fraction, []).append(f"{rms} ({median}; {largest})")
         forces = dict.fromkeys(f"{1e3 * at.force_N:g} mN" for at in over)
-        print_columns(["s/L", *forces], [[f"{place:g}", *cells] for place, cells in by_place.items()])
+        print_columns(["s/L", *forces], [[f"{fraction:g}", *cells] for fraction, cells in by_fraction.items()])
     rows = []
     for row in prediction.monte_carlo:
         error = "none" if row.error_mm is None else f"{row.error_mm:.3g} ± {row.standard_error_mm:.1g}"
@@ -201,25 +199,21 @@ def _print_sensitivity(prediction: "Prediction") -> None:
     print_columns(head, rows)
 
 
-def _print_budget(prediction: "Prediction", conditions: "Sequence[AnyCondition]", force_N: float, kind: str) -> None:
+def _print_budget(prediction: "Prediction", conditions: "Sequence[PredictedTouch]", force_N: float, kind: str) -> None:
     """Print the error budget of the worst direction at each located place, for the force nearest to `force_N` [N]."""
+    from probedesign.prediction.fused import worst
+
     force = min((c.force_N for c in conditions), key=lambda f: abs(f - force_N), default=0.0)
-    worst: dict[float, AnyCondition] = {}  # the largest error at each located place
-    for c in conditions:
-        if c.force_N == force and c.result == "ok" and c.budget_mm is not None:
-            before = worst.get(c.contact_fraction)
-            if before is None or (c.predicted_error_mm or 0.0) > (before.predicted_error_mm or 0.0):
-                worst[c.contact_fraction] = c
-    if not worst:
+    located = worst([c for c in conditions if c.force_N == force and c.result == "ok"], force)
+    if not located:
         print(f"\nError budget of {kind} this force: none, no place is located")
         return
     print(f"\nError budget [mm], RMS of {kind} {1e3 * force:g} mN by error source, worst direction")
-    places = sorted(worst)
     rows: dict[str, list[float | None]] = {
-        cause: [(worst[place].budget_mm or {})[cause] for place in places] for cause in worst[places[0]].budget_mm or {}
+        cause: [(c.budget_mm or {})[cause] for c in located] for cause in located[0].budget_mm or {}
     }
-    rows["all"] = [worst[place].predicted_error_mm for place in places]
-    rows["95 % radius"] = [worst[place].predicted_error_95_mm for place in places]
+    rows["all"] = [c.predicted_error_mm for c in located]
+    rows["95 % radius"] = [c.predicted_error_95_mm for c in located]
 
     def cell(value: float | None) -> str:
         """Return the value [mm] to 0.01 mm; smaller parts of an error budget are negligible."""
@@ -227,9 +221,10 @@ def _print_budget(prediction: "Prediction", conditions: "Sequence[AnyCondition]"
             return _cell(value)
         return "<0.01" if value < 0.005 else f"{value:.2f}"
 
-    print_columns(["s/L", *(f"{place:g}" for place in places)],
+    fractions = [c.contact_fraction for c in located]
+    print_columns(["s/L", *(f"{fraction:g}" for fraction in fractions)],
                   [[name, *map(cell, values)] for name, values in rows.items()])  # fmt: skip
-    missing = ", ".join(f"{c:g}" for c in sorted({c.contact_fraction for c in prediction.conditions} - set(worst)))
+    missing = ", ".join(f"{c:g}" for c in sorted({c.contact_fraction for c in prediction.conditions} - set(fractions)))
     if missing:
         print(f"  Not located at this force: {missing}")
 
@@ -238,8 +233,8 @@ def _print_thresholds(prediction: "Prediction") -> None:
     from probedesign.reports.prediction_page import threshold_rows
 
     print("\nForce limits and thresholds, full error budget, worst direction")
-    rows = [[f"{place:g}", *map(_cell, forces), LIMITS[weakest.limit], _cell(weakest.deflection_mm)]
-            for place, forces, weakest in threshold_rows(prediction)]  # fmt: skip
+    rows = [[f"{fraction:g}", *map(_cell, forces), LIMITS[weakest.limit], _cell(weakest.deflection_mm)]
+            for fraction, forces, weakest in threshold_rows(prediction)]  # fmt: skip
     fused = f"2 mm, {prediction.pressing.touches} fused\nmN"
     print_columns(["s/L", "detect\nmN", "5 mm\nmN", "2 mm\nmN", "1 mm\nmN", fused, "largest\nmN", "limit",
                    "deflection\nmm"], rows)  # fmt: skip

@@ -70,8 +70,8 @@ def check_toml(data: dict[str, Any], model: type[Model], text: str = "", where: 
         return model.model_validate(data)
     except ValidationError as error:
         line, problem = first_problem(error, model, text)
-    place = f"{where}:{line}: " if line else f"{where}: "
-    raise InputError(f"{place if where else ''}{problem}")
+    at_line = f"{where}:{line}: " if line else f"{where}: "
+    raise InputError(f"{at_line if where else ''}{problem}")
 
 
 class Inconsistent(ValueError):

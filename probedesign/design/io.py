@@ -115,25 +115,13 @@ def known_sensor(choice: str) -> SensorModel:
     return SENSORS[sensor_keys(choice)["model"]]
 
 
-def _sensor_tables(choice: str, notes: dict[str, str]) -> dict[str, Any]:
-    """Return `[sensor]`; a sensor whose holes are assumed is written out, with a note at each key to measure.
-
-    Args:
-        choice: name of a sensor or of a calibration.
-        notes: by key, for `render_design`; extended.
-    """
+def _sensor_tables(choice: str) -> dict[str, Any]:
+    """Return `[sensor]` for the name of a sensor or calibration; a sensor whose holes are assumed is written out."""
     keys = sensor_keys(choice)
-    assumed = SENSORS[keys["model"]].assumed_shape
-    if not assumed:
+    if not SENSORS[keys["model"]].assumed_shape:
         return keys
     record = load_sensor(FILES / f"{keys['model']}.toml")
-    tables = record.model_dump(exclude_none=True, mode="json")
-    for name in assumed:
-        inner = tables["interface"][name]
-        for key in [f"{name}.{last}" for last in inner] if isinstance(inner, dict) else [name]:
-            notes[f"sensor.own.interface.{key}"] = "assumed: measure it"
-    notes["sensor.own.assumed"] = "remove what you have measured; export needs the interface"
-    return {**keys, "model": CUSTOM, "own": tables}
+    return {**keys, "model": CUSTOM, "own": record.model_dump(exclude_none=True, mode="json")}
 
 
 def material_keys(resin: Resin) -> dict[str, Any]:
@@ -175,39 +163,11 @@ def new(
     axis_turns: float | None = None,
     axis_azimuth_deg: float | None = None,
 ) -> Design:
-    """Return a new design from a few dimensions, as `probedesign new` writes it; see `draft_design`.
-
-    Raises:
-        InputError: a value is out of range or contradicts another.
-    """
-    return draft_design(**locals())[0]
-
-
-def draft_design(
-    name: str | None,
-    *,
-    shape: str,
-    length_mm: float,
-    base_d_mm: float,
-    tip_d_mm: float | None = None,
-    tip: str = "blunt",
-    section: str = "round",
-    bore_ratio: float | None = None,
-    flatness: float | None = None,
-    resin: str = "elastic-50a",
-    sensor: str = "nano17",
-    robot_flange: str = "iso-9409-1-50-4-m6",
-    friction: float | None = None,
-    hold: str = "clamped",
-    points: str = "sideways",
-    printer: str = "form-3",
-    **axis: str | float | None,
-) -> tuple[Design, dict[str, str]]:
-    """Return a new design from its main dimensions, with defaults for everything else.
+    """Return a new design from a few dimensions, as `probedesign new` writes it, with defaults for everything else.
 
     Args:
         name: of the design; None for one that contains the parameters.
-        shape, length_mm, base_d_mm, tip, section, bore_ratio, flatness: as in `[probe]`.
+        length_mm, base_d_mm, tip, shape, section, bore_ratio, flatness: as in `[probe]`.
         tip_d_mm: None for `default_tip_d_mm`, unless it is a cylinder.
         resin, robot_flange: names of the catalog.
         sensor: a known sensor or calibration.
@@ -215,47 +175,57 @@ def draft_design(
         hold: as in `[mount]`.
         points: where the mounted probe points, a key of `POINTS`.
         printer: as in `[print]`.
-        axis: `axis` and the keys that go with it, as in `[probe]`.
-
-    Returns:
-        The checked design, and notes for `render_design` with the sources of its numbers.
+        axis, axis_bend_deg, axis_turns, axis_azimuth_deg: as in `[probe]`.
 
     Raises:
         InputError: a value is out of range or contradicts another.
     """
     material = find(RESINS, resin, "material.resin")
-    notes = {f"material.{key}": f"{q.provenance}: {q.source}" for key, (q, _) in _quantities(material).items()}
-    source = material.friction.source if friction is None else "assumed until measured"
-    notes["contact.friction"] = f"{COMMENTS['contact.friction']}; {source}"
-    notes["contact.object_compliance_m_N"] = (
-        f"{COMMENTS['contact.object_compliance_m_N']}; {OBJECT_COMPLIANCE.provenance}: {OBJECT_COMPLIANCE.source}"
-    )
     if tip_d_mm is None and shape != "cylinder":
         tip_d_mm = default_tip_d_mm(base_d_mm)
-        notes["probe.tip_d_mm"] = f"by default base / {TIP_RATIO:g}, at least {MIN_TIP_D_MM:g} mm"
+    bends = {"axis_bend_deg": axis_bend_deg, "axis_turns": axis_turns, "axis_azimuth_deg": axis_azimuth_deg}
     probe = {"shape": shape, "length_mm": length_mm, "base_d_mm": base_d_mm, "tip_d_mm": tip_d_mm, "tip": tip,
-             "section": section, "bore_ratio": bore_ratio, "flatness": flatness, **axis}  # fmt: skip
+             "section": section, "bore_ratio": bore_ratio, "flatness": flatness, "axis": axis, **bends}  # fmt: skip
     if name is None:
         ratio = flatness if bore_ratio is None else bore_ratio
         name = default_name(shape, length_mm, base_d_mm, tip_d_mm, section, ratio)
         name += "" if tip == "blunt" else f"-{tip}"
-        if axis.get("axis", "straight") != "straight":
-            sizes = [axis[key] for key, of in AXIS_KEYS.items() if of.needed and axis.get(key) is not None]
-            name += "-".join(["", str(axis["axis"]), *(f"{size:g}" for size in sizes if isinstance(size, int | float))])
-    data = {
+        if axis != "straight":
+            sizes = (bends.get(key) for key, of in AXIS_KEYS.items() if of.needed)
+            name += "-".join(["", axis, *(f"{size:g}" for size in sizes if isinstance(size, int | float))])
+    return check_design({
         "schema": 1,
         "name": name,
         "probe": probe,
         "material": material_keys(material),
-        "sensor": _sensor_tables(sensor, notes),
+        "sensor": _sensor_tables(sensor),
         "mount": {"robot_flange": robot_flange, "hold": hold, "gravity_base_m_s2": find(POINTS, points, "points")},
         "contact": {
             "friction": material.friction.value if friction is None else friction,
             "object_compliance_m_N": OBJECT_COMPLIANCE.value,
         },
         "print": {"printer": printer},
-    }
-    return check_design(data), notes
+    })  # fmt: skip
+
+
+def notes_of(design: Design) -> dict[str, str]:
+    """Return the comments beside the numbers of a design of `new` that state their sources, for `render_design`."""
+    material, friction, probe = design.resin, design.friction.value, design.probe
+    notes = {f"material.{key}": f"{q.provenance}: {q.source}" for key, (q, _) in _quantities(material).items()}
+    source = material.friction.source if friction == material.friction.value else "assumed until measured"
+    notes["contact.friction"] = f"{COMMENTS['contact.friction']}; {source}"
+    notes["contact.object_compliance_m_N"] = (
+        f"{COMMENTS['contact.object_compliance_m_N']}; {OBJECT_COMPLIANCE.provenance}: {OBJECT_COMPLIANCE.source}"
+    )
+    if probe.shape == "cone" and probe.tip_d_mm == default_tip_d_mm(probe.base_d_mm):
+        notes["probe.tip_d_mm"] = f"by default base / {TIP_RATIO:g}, at least {MIN_TIP_D_MM:g} mm"
+    if design.sensor.own is not None:
+        interface = design.sensor.own.interface.model_dump(exclude_none=True)
+        for name in design.sensor_model.assumed_shape:
+            keys = [f"{name}.{last}" for last in interface[name]] if isinstance(interface[name], dict) else [name]
+            notes |= {f"sensor.own.interface.{key}": "assumed: measure it" for key in keys}
+        notes["sensor.own.assumed"] = "remove what you have measured; export needs the interface"
+    return notes
 
 
 def render_design(design: Design, notes: Mapping[str, str] | None = None) -> str:
@@ -291,7 +261,7 @@ def _tables(design: Design) -> Iterator[tuple[str, dict[str, Any]]]:
         if table in top:
             continue
         provenance, flange = values.pop("provenance", {}), values.pop("flange", None) or {}
-        own = values.pop("own", None) or {}
+        described = values.pop("own", None) or {}
         given = {key: value for key, value in values.items() if value is not None and value != ()}
         yield table, given
         known = {key: value for key, value in provenance.items() if key in given or value != "assumed"}
@@ -299,8 +269,8 @@ def _tables(design: Design) -> Iterator[tuple[str, dict[str, Any]]]:
             yield f"{table}.provenance", known
         if flange:
             yield f"{table}.flange", {key: value for key, value in flange.items() if value is not None}
-        if own:
-            yield from _nested(f"{table}.own", own)
+        if described:
+            yield from _nested(f"{table}.own", described)
 
 
 def _nested(table: str, values: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
@@ -425,15 +395,15 @@ def _with_file(data: dict[str, Any], where: str, table: str, choice: str, record
     values = data.get(table)
     if not isinstance(values, dict) or "file" not in values:
         return data
-    name, place = values["file"], f"{where}: " if where else ""
+    name, prefix = values["file"], f"{where}: " if where else ""
     if not isinstance(name, str):
-        raise InputError(f"{place}{table}.file = {quoted(name)}: expected text in quotes")
+        raise InputError(f"{prefix}{table}.file = {quoted(name)}: expected text in quotes")
     if twice := [key for key in (choice, "own") if key in values]:
-        raise InputError(f"{place}{table}.{twice[0]} is not used beside {table}.file; remove one of them")
+        raise InputError(f"{prefix}{table}.{twice[0]} is not used beside {table}.file; remove one of them")
     path = Path(where).parent / name
     check_regular(path)
-    own = parse_toml(read_text(path, f"{table} file", MAX_TOML, kind="TOML"), record, str(path))
+    described = parse_toml(read_text(path, f"{table} file", MAX_TOML, kind="TOML"), record, str(path))
     rest = {key: value for key, value in values.items() if key != "file"}
-    if isinstance(own, ResinRecord):  # what is known of a resin of the catalog by its name
-        rest.setdefault("stiffness_spread", own.stiffness_spread)
-    return {**data, table: {**rest, choice: CUSTOM, "own": own}}
+    if isinstance(described, ResinRecord):  # what is known of a resin of the catalog by its name
+        rest.setdefault("stiffness_spread", described.stiffness_spread)
+    return {**data, table: {**rest, choice: CUSTOM, "own": described}}

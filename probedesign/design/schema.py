@@ -631,14 +631,14 @@ class Design(Table, Displayed):
     @property
     def resin(self) -> Resin:
         """Return the resin of `[material]`."""
-        own = self.material.own
-        return find(RESINS, self.material.resin, "material.resin", CUSTOM) if own is None else own.record
+        described = self.material.own
+        return find(RESINS, self.material.resin, "material.resin", CUSTOM) if described is None else described.record
 
     @property
     def sensor_model(self) -> SensorModel:
         """Return the sensor of the catalog, or that of `[sensor.own]`."""
-        own = self.sensor.own
-        return find(SENSORS, self.sensor.model, "sensor.model", CUSTOM) if own is None else own.sensor
+        described = self.sensor.own
+        return find(SENSORS, self.sensor.model, "sensor.model", CUSTOM) if described is None else described.sensor
 
     @property
     def calibration(self) -> SensorCalibration:
@@ -657,8 +657,8 @@ class Design(Table, Displayed):
     @property
     def printer(self) -> Printer:
         """Return the printer of `[print]`."""
-        own = self.print_.own
-        return find(PRINTERS, self.print_.printer, "print.printer", CUSTOM) if own is None else own.record
+        described = self.print_.own
+        return find(PRINTERS, self.print_.printer, "print.printer", CUSTOM) if described is None else described.record
 
     @property
     def youngs_modulus(self) -> Quantity:

@@ -70,8 +70,8 @@ class Limit:
 
     def margin(self, figure: float) -> float:
         """Return the distance to the bound relative to its value; negative where the limit is violated."""
-        off = self.value - figure if self.is_upper else figure - self.value
-        return off / abs(self.value)
+        distance = self.value - figure if self.is_upper else figure - self.value
+        return distance / abs(self.value)
 
 
 def parse_limit(text: str) -> Limit:

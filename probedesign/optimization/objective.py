@@ -324,8 +324,8 @@ def distinction(on: SurfaceRod, touch: Array, cov: Array, friction: float) -> fl
     A[:, :6] = W @ A[:, :6]
     A[:, 6] = np.gradient(p, s, axis=0) / (max(friction, MIN_FRICTION) * np.linalg.norm(force))
     y = np.append(W @ reading, 0.0)
-    off = np.linalg.pinv(A) @ y
-    misfit = np.linalg.norm(np.einsum("kij,kj->ki", A, off) - y, axis=1)
+    forces = np.linalg.pinv(A) @ y
+    misfit = np.linalg.norm(np.einsum("kij,kj->ki", A, forces) - y, axis=1)
     return float(misfit[np.abs(s - touch[S]) > APART * length].min())
 
 

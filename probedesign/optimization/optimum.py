@@ -214,8 +214,8 @@ def confirm(
     cases = [(under, fraction, angle, force) for under in task.models(model) for fraction in task.fractions
              for angle in task.angles(under.gravity_base) for force in task.forces_N]  # fmt: skip
     chunks = [
-        _Chunk(under, task, fraction, angle, force, min(_CHUNK, draws - first), (seed, place, first))
-        for place, (under, fraction, angle, force) in enumerate(cases)
+        _Chunk(under, task, fraction, angle, force, min(_CHUNK, draws - first), (seed, number, first))
+        for number, (under, fraction, angle, force) in enumerate(cases)
         for first in range(0, draws, _CHUNK)
     ]
     parts = dict[int, Array]()

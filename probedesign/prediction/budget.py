@@ -60,12 +60,12 @@ def error_budget(touch: Array, lin: Array, D: Array, sources: ErrorSources, fric
     """
     n, of = len(lin), np.flatnonzero(np.isfinite(lin[:, 0, VALUE]))
     total, centre, noise = (np.full((n, 3, 3), np.nan) for _ in range(3))
-    found = ErrorBudget(np.full((n, len(CAUSES), 3, 3), np.nan), total, centre, noise, np.full(n, np.nan))
+    budget = ErrorBudget(np.full((n, len(CAUSES), 3, 3), np.nan), total, centre, noise, np.full(n, np.nan))
     if len(of):
         parts = LinearizedTouches.of(touch[of], lin[of], D[of], sources).split(friction)
-        for into, part in zip((found.cov, total, centre, noise, found.std_s), parts, strict=True):
+        for into, part in zip((budget.cov, total, centre, noise, budget.std_s), parts, strict=True):
             into[of] = part
-    return found
+    return budget
 
 
 @dataclass(frozen=True)
@@ -127,18 +127,20 @@ class LinearizedTouches:
         return np.asarray(noise + self.drift + self.D @ np.swapaxes(self.D, 1, 2))
 
     def _total(self, X: Array, Q: Array, root: Array, gain: Array) -> Array:
-        own, cross = X @ root, X @ gain @ self.D @ np.swapaxes(Q, 1, 2)
-        return np.asarray(own @ np.swapaxes(own, 1, 2) + Q @ np.swapaxes(Q, 1, 2) - cross - np.swapaxes(cross, 1, 2))
+        by_reading, cross = X @ root, X @ gain @ self.D @ np.swapaxes(Q, 1, 2)
+        return np.asarray(
+            by_reading @ np.swapaxes(by_reading, 1, 2) + Q @ np.swapaxes(Q, 1, 2) - cross - np.swapaxes(cross, 1, 2)
+        )
 
     def parts(self, gain: Array) -> list[tuple[str, Array]]:
         """Return each source with its covariance of the touched point, given its gain on the reading, (n, 3, 6)."""
-        found = [("noise", gain @ self.noise @ np.swapaxes(gain, 1, 2)),
+        parts = [("noise", gain @ self.noise @ np.swapaxes(gain, 1, 2)),
                  ("drift", gain @ self.drift @ np.swapaxes(gain, 1, 2))]  # fmt: skip
-        off = gain @ self.D - self.Q
+        error = gain @ self.D - self.Q
         for name in SOURCES[2:]:
-            here = off[:, :, [c for c, of in enumerate(self.names) if of == name]]
-            found.append((name, here @ np.swapaxes(here, 1, 2)))
-        return found
+            here = error[:, :, [c for c, of in enumerate(self.names) if of == name]]
+            parts.append((name, here @ np.swapaxes(here, 1, 2)))
+        return parts
 
     def solve(self, W: Array, friction: float) -> tuple[NDArray[np.bool_], Array, Array]:
         """Return whether the touch is observable, a root of its covariance C, (n, 5, 5), and its gain, (n, 5, 6)."""
@@ -219,8 +221,8 @@ def _of_largest(eigenvalues: Array, share: float) -> Array:
         square = x * x
         bell = math.sqrt(2.0 / math.pi) * x * np.exp(-0.5 * square)
         slopes = bell * inverse
-        off = (erf(x * math.sqrt(0.5)) - bell) @ _WEIGHT - share
+        excess = (erf(x * math.sqrt(0.5)) - bell) @ _WEIGHT - share
         slope = (slopes * x) @ _WEIGHT
         bend = (slopes * inverse * (2.0 - square)) @ _WEIGHT
-        r = r - 2.0 * off * slope / (2.0 * slope * slope - off * bend)
+        r = r - 2.0 * excess * slope / (2.0 * slope * slope - excess * bend)
     return r

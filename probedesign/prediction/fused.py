@@ -15,6 +15,7 @@ below 2 mm, by 3 % (by a third in a tenth of the conditions) at 2 to 5 mm, and b
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 
@@ -164,16 +165,17 @@ Line = tuple[float, str]  #: Contact fraction and direction.
 
 
 @dataclass(frozen=True)
-class FusedCondition:
-    """Prediction for several touches of one point as the base presses on. Numbers that do not exist are None."""
+class PredictedTouch:
+    """What is predicted of one touch and of several fused ones. Numbers that do not exist are None."""
 
     contact_fraction: float  #: arclength of the touched section over length.
-    force_N: float  #: normal force of the last touch; the others are equal steps up to it.
-    direction: str  #: in which the object pushes.
-    touches: int  #: number of touches.
-    result: str  #: result code of `Estimator.fuse`; "gives_way" (buckled) and "out_of_range" refer to the last touch.
-    #: RMS distance between true and estimated contact point, the touched point of the surface in the world, by all
-    #: error sources of `budget_mm`, to first order.
+    force_N: float  #: normal force; of fused touches that of the last one, up to which the others are equal steps.
+    direction: str  #: in which the object pushes, a key of `DIRECTIONS` or degrees such as "45deg" (`angle_of`).
+    #: result code of the estimator; "ok" is a located contact, "gives_way" a probe that buckles. Of fused touches
+    #: "gives_way" and "out_of_range" refer to the last one.
+    result: str
+    #: RMS distance between true and estimated contact point, the touched point of the surface, by all error sources of
+    #: `budget_mm`; of fused touches in the world, to first order.
     predicted_error_mm: float | None = None
     predicted_error_95_mm: float | None = None  #: radius that contains 95 % of the errors.
     #: RMS distance by sensor noise and the prior on friction, all else exactly known.
@@ -181,6 +183,13 @@ class FusedCondition:
     noise_error_95_mm: float | None = None  #: its 95 % radius.
     #: RMS distance by error source; the squares add up to that of predicted_error_mm.
     budget_mm: dict[str, float] | None = None
+
+
+@dataclass(frozen=True)
+class FusedCondition(PredictedTouch):
+    """Prediction for several touches of one point as the base presses on."""
+
+    touches: int = 0  #: number of touches.
 
 
 @dataclass(frozen=True)
@@ -226,25 +235,28 @@ def fused_headline_of(conditions: Sequence[FusedCondition], touches: int, contac
 def fused_reach(conditions: Sequence[FusedCondition]) -> tuple[FusedForceThresholds, ...]:
     """Return the force thresholds of fused touches at each position."""
     lines = dict.fromkeys((c.contact_fraction, c.direction) for c in conditions)
-    found = []
+    thresholds = []
     for line in lines:
         here = sorted((c for c in conditions if (c.contact_fraction, c.direction) == line and c.result == "ok"),
                       key=lambda c: c.force_N)  # fmt: skip
         forces = np.array([c.force_N for c in here])
         errors = np.array([c.predicted_error_mm for c in here], dtype=float)
         needed = (force_for_accuracy(forces, errors, accuracy) for accuracy in ACCURACIES_MM)
-        found.append(FusedForceThresholds(*line, *(None if f is None else 1e3 * f for f in needed)))
-    return tuple(found)
+        thresholds.append(FusedForceThresholds(*line, *(None if f is None else 1e3 * f for f in needed)))
+    return tuple(thresholds)
 
 
-def shown(conditions: Sequence[FusedCondition], force_N: float = SHOWN_N) -> list[FusedCondition]:
-    """Return the located direction with the largest error at each position, at the force nearest to `force_N`."""
+T = TypeVar("T", bound=PredictedTouch)
+
+
+def worst(conditions: Sequence[T], force_N: float) -> list[T]:
+    """Return the direction with the largest error at each position, at the grid's force nearest to `force_N`."""
     nearest = min((c.force_N for c in conditions), key=lambda force: abs(force - force_N), default=0.0)
-    here = [c for c in conditions if c.force_N == nearest and c.result == "ok"]
-    places = sorted({c.contact_fraction for c in here})
+    here = [c for c in conditions if c.force_N == nearest and c.budget_mm is not None]
+    fractions = sorted({c.contact_fraction for c in here})
     return [
-        max((c for c in here if c.contact_fraction == place), key=lambda c: c.predicted_error_mm or 0.0)
-        for place in places
+        max((c for c in here if c.contact_fraction == fraction), key=lambda c: c.predicted_error_mm or 0.0)
+        for fraction in fractions
     ]
 
 
@@ -269,38 +281,38 @@ def fused_conditions(
         schedule: how the touches are made.
         on_progress: receives the step and its share before each condition.
     """
-    places = list(dict.fromkeys(place for place, _ in lines))
-    found = []
-    for k, place in enumerate(places):
+    fractions = list(dict.fromkeys(fraction for fraction, _ in lines))
+    conditions = []
+    for k, fraction in enumerate(fractions):
         for force in forces_N:
             pressed = [touches[f] for f in schedule.forces(force)]
             for i, line in enumerate(lines):
-                if line[0] == place:
-                    on_progress("fused touches", k / len(places))
-                    found.append(_condition(line, pressed, i, force, schedule))
-    return tuple(found)
+                if line[0] == fraction:
+                    on_progress("fused touches", k / len(fractions))
+                    conditions.append(_condition(line, pressed, i, force, schedule))
+    return tuple(conditions)
 
 
 def _condition(line: Line, touches: Sequence[Touches], i: int, force: float, schedule: PressSchedule) -> FusedCondition:
     """Predict one condition, the i-th line of touches in the order of time, the last one of a force [N]."""
-    found = FusedCondition(line[0], force, line[1], schedule.touches, "gives_way")
+    buckled = FusedCondition(line[0], force, line[1], "gives_way", touches=schedule.touches)
     if not all(of.ok[i] for of in touches):
-        return found
+        return buckled
     estimator, pressed = touches[-1].estimator, np.array([of.touch[i] for of in touches])
     model = estimator.model
     press = LinearizedPresses(model, estimator.priors, model.gravity_base, pressed, schedule)
     if not press.converged:
-        return found
+        return buckled
     budget = press.split()
     error, within = _mm(budget.total)
     if touches[-1].sensor_use[i] > 1.0:
-        return replace(found, result="out_of_range")
+        return replace(buckled, result="out_of_range")
     if not error * MM < model.rod.length * UNIFORM_STD:
-        return replace(found, result="unobservable" if schedule.moments_about else "too_light")
+        return replace(buckled, result="unobservable" if schedule.moments_about else "too_light")
     noise, noise_within = _mm(budget.cov_noise)
     by_source = dict(zip(FUSED_CAUSES, (budget.rms / MM).tolist(), strict=True))
     return replace(
-        found, result="ok", predicted_error_mm=error, predicted_error_95_mm=within, noise_error_mm=noise,
+        buckled, result="ok", predicted_error_mm=error, predicted_error_95_mm=within, noise_error_mm=noise,
         noise_error_95_mm=noise_within, budget_mm=by_source,
     )  # fmt: skip
 

@@ -153,11 +153,11 @@ class PrintSamples:
         friction = self.model.friction if math.isfinite(self.model.friction) else 1.0
         ratios = friction * rng.normal(size=(n, k, 2))
         log_stiffness = self.tolerances.stiffness_scatter * rng.normal(size=(n, k))
-        found = [
+        presses = [
             sample.press(fraction, phi, forces, of_touch, change)
             for sample, of_touch, change in zip(self.samples, ratios, log_stiffness, strict=True)
         ]
-        wrenches, points = (np.array(part) for part in zip(*found, strict=True))
+        wrenches, points = (np.array(part) for part in zip(*presses, strict=True))
         return wrenches, points
 
     def draw_noise(self, n: int, k: int, rng: np.random.Generator) -> Array:
@@ -245,15 +245,15 @@ class MonteCarloPlan:
         fraction, force, direction, touches = touch
         schedule = self.pressing if touches > 1 else None
         results = locate_draws(samples, fraction, force, angle_of(direction), schedule, rng)
-        off = np.array([result.error for result in results if result.error is not None])
+        errors = np.array([result.error for result in results if result.error is not None])
         located = [result for result in results if result.result == "ok"]
         counts = {"located": len(located), "inside": sum(result.inside for result in located)}
-        if len(off) < 2:
+        if len(errors) < 2:
             return counts | {"error": None, "error_95": None, "standard_error": None}
-        rms = float(np.sqrt((off**2).mean()))
+        rms = float(np.sqrt((errors**2).mean()))
         # The standard error of an RMS is that of the mean square over twice the RMS.
-        spread = float((off**2).std(ddof=1) / math.sqrt(len(off)) / (2.0 * max(rms, 1e-300)))
-        return counts | {"error": rms, "error_95": float(np.quantile(off, 0.95)), "standard_error": spread}
+        spread = float((errors**2).std(ddof=1) / math.sqrt(len(errors)) / (2.0 * max(rms, 1e-300)))
+        return counts | {"error": rms, "error_95": float(np.quantile(errors, 0.95)), "standard_error": spread}
 
 
 class DrawResult(NamedTuple):
@@ -298,30 +298,30 @@ def locate_draws(
 
 
 def _located(estimator: Estimator, wrench: Array, point: Array) -> DrawResult:
-    found = estimator.estimate(wrench)
-    best = found.candidates[0] if found.candidates else None
-    if best is None or found.result not in LOCATED_RESULTS:
-        return DrawResult(found.result, None)
-    off = best.p_surface_base - point
-    return DrawResult(found.result, float(np.linalg.norm(off)), _contains(best.cov_surface_base, off))
+    estimate = estimator.estimate(wrench)
+    best = estimate.candidates[0] if estimate.candidates else None
+    if best is None or estimate.result not in LOCATED_RESULTS:
+        return DrawResult(estimate.result, None)
+    error = best.p_surface_base - point
+    return DrawResult(estimate.result, float(np.linalg.norm(error)), _contains(best.cov_surface_base, error))
 
 
 def _fused(estimator: Estimator, schedule: PressSchedule, wrenches: Array, places: Array) -> DrawResult:
     if not np.isfinite(wrenches).all():
         return DrawResult("gives_way", None)
-    found = estimator.fuse(
-        wrenches, [pose(p=place) for place in places], estimator.model.gravity_base,
+    fused = estimator.fuse(
+        wrenches, [pose(p=point) for point in places], estimator.model.gravity_base,
         moments_only=schedule.moments_about is not None, moments_about=schedule.moments_about or "base",
     )  # fmt: skip
-    if found.result not in LOCATED_RESULTS or not len(found.candidates_world):
-        return DrawResult(found.result, None)
-    off = found.p_surface_world if found.ok else found.candidates_world[0]
-    inside = found.ok and _contains(found.cov_surface_world, off)
-    return DrawResult(found.result, float(np.linalg.norm(off)), inside)
+    if fused.result not in LOCATED_RESULTS or not len(fused.candidates_world):
+        return DrawResult(fused.result, None)
+    error = fused.p_surface_world if fused.ok else fused.candidates_world[0]
+    inside = fused.ok and _contains(fused.cov_surface_world, error)
+    return DrawResult(fused.result, float(np.linalg.norm(error)), inside)
 
 
-def _contains(cov: Array, off: Array) -> bool:
-    return bool(off @ np.linalg.lstsq(cov, off, rcond=1e-12)[0] <= max_chi2(3, 0.05))
+def _contains(cov: Array, error: Array) -> bool:
+    return bool(error @ np.linalg.lstsq(cov, error, rcond=1e-12)[0] <= max_chi2(3, 0.05))
 
 
 def run_monte_carlo(
@@ -423,13 +423,13 @@ def _load_checkpoint(path: Path | None) -> dict[str, dict[str, Any]]:
     if path is None or not path.exists():
         return {}
     try:
-        found = json.loads(path.read_bytes())["conditions"]
-        for row in found.values():
+        rows = json.loads(path.read_bytes())["conditions"]
+        for row in rows.values():
             _ = int(row["located"]), int(row["inside"])
             _ = [float(row[k] or 0.0) for k in ("error", "error_95", "standard_error")]
     except (OSError, ValueError, TypeError, KeyError, AttributeError):
         raise InputError(f"{path}: is not a Monte Carlo checkpoint; remove it to start again") from None
-    return dict(found)
+    return dict(rows)
 
 
 def _save_checkpoint(path: Path, done: dict[str, dict[str, Any]]) -> None:

@@ -22,11 +22,13 @@ from probedesign.prediction.fused import (
     FusedCondition,
     FusedForceThresholds,
     FusedHeadline,
+    PredictedTouch,
     PressSchedule,
     forces_of,
     fused_conditions,
     fused_headline_of,
     fused_reach,
+    worst,
 )
 from probedesign.prediction.touches import Touches, check_grid, directions_of, touches_of
 from probedesign.prediction.workspace import LADDER_N, ForceThresholds, Workspace, force_thresholds, workspace_of
@@ -55,20 +57,9 @@ _WEAK_N = 1e-6  # small enough for the response to be linear
 
 
 @dataclass(frozen=True)
-class Condition:
-    """Prediction for one touch. Numbers that do not exist are None."""
+class Condition(PredictedTouch):
+    """Prediction for one touch."""
 
-    contact_fraction: float  #: arclength of the touched section over length.
-    force_N: float  #: normal force.
-    direction: str  #: in which the object pushes, a key of `DIRECTIONS` or degrees such as "45deg" (`angle_of`).
-    result: str  #: result code of the estimator; "ok" is a located contact, "gives_way" a probe that buckles.
-    #: RMS distance between true and estimated contact point, the touched point of the surface, by all error sources of
-    #: `budget_mm`.
-    predicted_error_mm: float | None = None
-    predicted_error_95_mm: float | None = None  #: radius that contains 95 % of the errors.
-    #: RMS distance by sensor noise and the prior on friction, all else exactly known.
-    noise_error_mm: float | None = None
-    noise_error_95_mm: float | None = None  #: its 95 % radius.
     std_s_mm: float | None = None  #: standard deviation of s_contact by all error sources.
     deflection_mm: float | None = None  #: distance of the contact point from its place on the free probe.
     #: moment_per_N_Nmm, force_per_N_N: derivative of the base's moment and force by the normal force.
@@ -78,8 +69,6 @@ class Condition:
     moment_per_mm_Nmm: float | None = None
     force_per_mm_N: float | None = None
     sensor_use: float | None = None  #: largest fraction of a channel's range that the reading takes.
-    #: RMS distance by error source; the squares add up to that of predicted_error_mm.
-    budget_mm: dict[str, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -189,17 +178,17 @@ class Prediction(Tabular):
         )
         if touch is None or touch.predicted_error_mm is None:
             return f"One reading of {1e3 * HEADLINE_FORCE_N:g} mN is located nowhere along the probe."
-        place = touch.contact_fraction
-        felt = [d.detectable_force_mN for d in self.detection if d.contact_fraction == place]
+        fraction = touch.contact_fraction
+        felt = [d.detectable_force_mN for d in self.detection if d.contact_fraction == fraction]
         detected = max((f for f in felt if f is not None), default=math.nan)
         shares = shares_of(touch)
         largest = max(shares, key=lambda group: shares[group])
         across = ""
         for over in self.over_directions:
-            if (over.contact_fraction, over.force_N) == (place, touch.force_N) and over.median_error_mm is not None:
+            if (over.contact_fraction, over.force_N) == (fraction, touch.force_N) and over.median_error_mm is not None:
                 across = f" in the worst direction, {over.median_error_mm:.2g} mm in the median one"
         return (
-            f"At {place:g} of the length a touch is felt from {detected:.2g} mN, and one reading of "
+            f"At {fraction:g} of the length a touch is felt from {detected:.2g} mN, and one reading of "
             f"{1e3 * touch.force_N:g} mN locates it within {touch.predicted_error_mm:.2g} mm RMS{across}. The largest "
             f"error source is then {largest}, with {shares[largest]:.0%} of the variance."
         )
@@ -269,8 +258,8 @@ def predict(
     detection = tuple(Detection(*line, None) for line in lines)
     conditions = {(*line, force): Condition(line[0], force, line[1], "gives_way")
                   for line in lines for force in forces_N}  # fmt: skip
-    fused = tuple(FusedCondition(place, force, side, pressing.touches, "gives_way")
-                  for place in fractions for force in forces_N for side in directions)  # fmt: skip
+    fused = tuple(FusedCondition(fraction, force, side, "gives_way", touches=pressing.touches)
+                  for fraction in fractions for force in forces_N for side in directions)  # fmt: skip
     if estimator.free().ok:
         pressed = () if only_single else forces_of(pressing, forces_N)
         ladder, ends = ((), []) if only_single else (LADDER_N, ends)
@@ -328,13 +317,13 @@ def _bench_gain(
                      shear_modulus=min(known.shear_modulus, AFTER_AN_HOUR))  # fmt: skip
     if better == known:
         return None
-    place = min(fractions, key=lambda fraction: abs(fraction - HEADLINE_FRACTION))
-    lines = [(place, direction) for direction in directions]
+    fraction = min(fractions, key=lambda fraction: abs(fraction - HEADLINE_FRACTION))
+    lines = [(fraction, direction) for direction in directions]
     touches = touches_of(estimator.with_tolerances(better), lines, (HEADLINE_FORCE_N, *pressing.forces(SHOWN_N)))
     single = worst(conditions_of(touches[HEADLINE_FORCE_N], lines), HEADLINE_FORCE_N)
-    fused = fused_headline_of(fused_conditions(lines, touches, (SHOWN_N,), pressing), pressing.touches, place)
+    fused = fused_headline_of(fused_conditions(lines, touches, (SHOWN_N,), pressing), pressing.touches, fraction)
     return BenchGain(
-        better.youngs_modulus, place, single[0].predicted_error_mm if single else None, fused.predicted_error_mm
+        better.youngs_modulus, fraction, single[0].predicted_error_mm if single else None, fused.predicted_error_mm
     )
 
 
@@ -347,28 +336,17 @@ def errors_over_directions(
     """Return the errors of single readings over the direction of the force, at each place and force."""
     degrees = range(0, 360, DIRECTION_STEP_DEG)
     touches = touches_of(estimator, [(at, f"{k}deg") for at in fractions for k in degrees], forces_N)
-    found = []
+    rows = []
     for i, at in enumerate(fractions):
         for force in forces_N:
             errors = touches[force].rms[0][i * len(degrees) : (i + 1) * len(degrees)] / MM
             figures = (float(np.sqrt((errors**2).mean())), float(np.median(errors)), float(errors.max()))
             shown = tuple(map(finite_or_none, errors.tolist()))
-            found.append(ErrorOverDirections(at, force, shown, *map(finite_or_none, figures)))
-    return tuple(found)
+            rows.append(ErrorOverDirections(at, force, shown, *map(finite_or_none, figures)))
+    return tuple(rows)
 
 
-def worst(conditions: Sequence[Condition], force_N: float) -> list[Condition]:
-    """Return the worst direction per contact position, at the grid's force nearest to `force_N`."""
-    nearest = min((c.force_N for c in conditions), key=lambda force: abs(force - force_N), default=0.0)
-    here = [c for c in conditions if c.force_N == nearest and c.budget_mm is not None]
-    places = sorted({c.contact_fraction for c in here})
-    return [
-        max((c for c in here if c.contact_fraction == place), key=lambda c: c.predicted_error_mm or 0.0)
-        for place in places
-    ]
-
-
-def shares_of(condition: Condition | FusedCondition) -> dict[str, float]:
+def shares_of(condition: PredictedTouch) -> dict[str, float]:
     """Return the shares of the variance by group of error sources."""
     budget = condition.budget_mm or {}
     squares = {name: sum(budget.get(cause, 0.0) ** 2 for cause in causes) for name, causes in CAUSE_GROUPS.items()}
@@ -415,8 +393,8 @@ def conditions_of(touches: Touches, lines: Sequence[tuple[float, str]], radii: b
                for row in (touches.budget.rms / MM).tolist()]  # fmt: skip
     rows = zip(lines, touches.results(), values, budgets, strict=False)
     return [
-        Condition(place, touches.force_N, side, result, **dict(zip(columns, row, strict=True)), budget_mm=budget)
-        for (place, side), result, row, budget in rows
+        Condition(fraction, touches.force_N, side, result, **dict(zip(columns, row, strict=True)), budget_mm=budget)
+        for (fraction, side), result, row, budget in rows
     ]
 
 
@@ -477,8 +455,8 @@ def along_csv(prediction: Prediction) -> bytes:
     """Return a CSV table with detection, thresholds and limits by position and direction; fused_: of fused touches."""
     rows: dict[tuple[float, str], dict[str, Any]] = {}
     shown: tuple[Detection | ForceThresholds, ...] = (*prediction.detection, *prediction.reach)
-    for one in shown:
-        rows.setdefault((one.contact_fraction, one.direction), {}).update(asdict(one))
+    for line in shown:
+        rows.setdefault((line.contact_fraction, line.direction), {}).update(asdict(line))
     for fused in prediction.fused_reach:
         forces = {f"fused_{k}": v for k, v in asdict(fused).items() if k.startswith("force_")}
         rows[fused.contact_fraction, fused.direction].update(forces)

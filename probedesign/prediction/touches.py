@@ -161,8 +161,8 @@ class ForceContinuation:
         kernel.move_touch(ahead, self.lin, step, np.empty(kernel.MOVE))
         predicted = ahead[TIP:].copy()
         lin = self.on.linearize(ahead)
-        off = ahead[TIP:] - predicted
-        if lin is None or off @ off > _MAX_PREDICTION_ERROR**2:
+        error = ahead[TIP:] - predicted
+        if lin is None or error @ error > _MAX_PREDICTION_ERROR**2:
             return False
         self.touch, self.lin = ahead, lin
         return True
@@ -211,10 +211,10 @@ def slide(on: SurfaceRod, s: float, phi: float, forces: Sequence[float]) -> floa
             return math.inf
         for _ in range(_MAX_ITERATIONS):
             assert press.lin is not None
-            off = along @ (press.lin[POINT : POINT + 3, 0] - start)
-            if abs(off) <= _LATERAL_TOLERANCE * on.rod.length:
+            aside = along @ (press.lin[POINT : POINT + 3, 0] - start)
+            if abs(aside) <= _LATERAL_TOLERANCE * on.rod.length:
                 break
-            newton = -float(off / (along @ press.lin[POINT : POINT + 3, BY_TOUCH + S]))
+            newton = -float(aside / (along @ press.lin[POINT : POINT + 3, BY_TOUCH + S]))
             change = float(np.clip(newton, -_MAX_SLIDE * on.rod.length, _MAX_SLIDE * on.rod.length))
             if not 0.0 <= press.touch[S] + change <= on.rod.flank_end or not press.shift(change):
                 return math.inf
@@ -345,11 +345,11 @@ def touches_of(
         # An object that pushes towards +x touches the side at -x.
         press = on.begin_press(fraction * model.rod.length, angle_of(direction) + math.pi)
         for j, force in enumerate(forces):
-            found = press.increase_to(force)
+            pressed = press.increase_to(force)
             max_stable_force[j:, i] = press.force
-            if found is None:
+            if pressed is None:
                 break
-            touch[j, i] = found
+            touch[j, i] = pressed
             lin[j, i], D[j, i] = sources.columns_at(touch[j, i])
     return {
         force: Touches(estimator, sources, force, touch[j], lin[j], D[j], max_stable_force[j])

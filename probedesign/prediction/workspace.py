@@ -51,7 +51,7 @@ def force_thresholds(
     if touches[forces[0]].estimator.model.rod.is_curved:  # the tip of a curved probe is not its furthest point
         depth = np.full_like(depth, np.nan)
     max_stable_force = touches[forces[-1]].max_stable_force
-    found = []
+    rows = []
     for i, (fraction, direction) in enumerate(lines):
         tip = lines.index((end, direction))
         slips = _slip_force(forces, depth[:, tip], depth[0, i], i == tip)
@@ -61,8 +61,8 @@ def force_thresholds(
         for_1, for_2, for_5 = (None if f is None or f > max_force else 1e3 * f for f in needed)
         there = np.isfinite(bent[:, i]) & (forces <= 1.3 * max_force)
         deflection = float(np.interp(max_force, forces[there], bent[there, i])) / MM if there.any() else None
-        found.append(ForceThresholds(fraction, direction, for_1, for_2, for_5, max_force, limit, deflection))
-    return tuple(found)
+        rows.append(ForceThresholds(fraction, direction, for_1, for_2, for_5, max_force, limit, deflection))
+    return tuple(rows)
 
 
 def _slip_force(forces: Array, tip_depth: Array, depth: float, at_tip: bool) -> float:
@@ -104,10 +104,10 @@ def force_for_accuracy(
         usable: forces that may be the result, (n,); all if None.
     """
     enough = errors <= accuracy
-    found = np.flatnonzero(enough if usable is None else enough & usable)
-    if not len(found):
+    sufficient = np.flatnonzero(enough if usable is None else enough & usable)
+    if not len(sufficient):
         return None
-    j = int(found[0])
+    j = int(sufficient[0])
     if not j or not np.isfinite(errors[j - 1]):
         return float(forces[j])
     x, y = np.log(forces[j - 1 : j + 1]), np.log(errors[j - 1 : j + 1])
@@ -166,8 +166,8 @@ def workspace_of(reach: Sequence[ForceThresholds], touches: Mapping[float, Touch
         for i, row in enumerate(reach)
         if row.greatest_force_N is not None
     )
-    found = sorted({path.direction for path in paths}, key=_turned)
-    sheets = {side: _sheet(paths, side) for side in found}
+    directions = sorted({path.direction for path in paths}, key=_turned)
+    sheets = {side: _sheet(paths, side) for side in directions}
     if "+y" in sheets and "-y" not in sheets and abs(gravity[1]) <= _MIRRORED * np.linalg.norm(gravity):
         sheets["-y"] = sheets["+y"] * np.array([1.0, -1.0, 1.0])
     return Workspace(paths, {side: _area(sheet) for side, sheet in sheets.items()}, _volume(sheets))

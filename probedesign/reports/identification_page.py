@@ -171,18 +171,18 @@ def _along(fit: Identification) -> ReportFigure:
 
 def _wrenches(fit: Identification, what: str) -> ReportFigure:
     first, unit, size, letter = {"forces": (0, "mN", 1e3, "F"), "moments": (3, "µN·m", 1e6, "M")}[what]
-    off = size * np.array(
+    residuals = size * np.array(
         [residual.off[first : first + 3] for residual in fit.residuals if residual.kind == "wrenches"]
     )
     chart = Chart(
         ChartAxis.named("", [f"{letter}{axis}" for axis in _AXES]),
-        ChartAxis.spanning(f"residual, measured - fitted [{unit}]", [*off.flat, 0.0]),
+        ChartAxis.spanning(f"residual, measured - fitted [{unit}]", [*residuals.flat, 0.0]),
     )
     chart.line([0.5, 3.5], [0.0, 0.0], "#666666", "4 4")
     colour, mark = _SIGNS["wrenches"]
-    spread = 0.7 * (np.arange(len(off)) / max(len(off) - 1, 1) - 0.5)
+    spread = 0.7 * (np.arange(len(residuals)) / max(len(residuals) - 1, 1) - 0.5)
     for channel in range(3):
-        chart.points(channel + 1 + spread, off[:, channel], colour, mark)
+        chart.points(channel + 1 + spread, residuals[:, channel], colour, mark)
     return ReportFigure(
         f"Residuals of the {what}",
         "At the base, from the first test at the left of each channel to the "

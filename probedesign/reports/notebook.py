@@ -24,7 +24,8 @@ from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.model import ProbeModel
 from probedesign.identification.result import Identification, Identified
 from probedesign.mount import build_geometry
-from probedesign.prediction.predict import Prediction, condition_rows, worst
+from probedesign.prediction.fused import worst
+from probedesign.prediction.predict import Prediction, condition_rows
 from probedesign.probe import Probe
 from probedesign.reports.chart import COLOURS, DASHES, Chart, ChartAxis
 from probedesign.reports.html_page import labelled

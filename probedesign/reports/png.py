@@ -62,8 +62,8 @@ def draw_validation(validation: "ValidationReport") -> bytes:
     figure = _new_figure(12, 0.8 + 2.6 * rows)
     axes: Any = np.atleast_1d(figure.subplots(rows, COLUMNS)).ravel()
     for ax, trial in zip(axes, chosen, strict=False):
-        off = "" if trial.contact_error is None else f", error {trial.contact_error.size / MM:.2g} mm"
-        title = f"{trial.test.name}: {trial.force / MILLINEWTON:.3g} mN at {trial.fraction:.2g} L{off}"
+        stated = "" if trial.contact_error is None else f", error {trial.contact_error.size / MM:.2g} mm"
+        title = f"{trial.test.name}: {trial.force / MILLINEWTON:.3g} mN at {trial.fraction:.2g} L{stated}"
         draw_chart(shape_chart(trial, model), ax, title, legend_size=0.0)
     errors = error_size_chart([t for t in validation.tests if t.contact_error is not None])
     draw_chart(errors, axes[len(chosen)], "Contact error: measured against stated")

@@ -11,23 +11,20 @@ import numpy as np
 from probedesign.core.frames import Array
 from probedesign.core.units import MM
 from probedesign.estimation.estimator import Estimator
-from probedesign.prediction.fused import FusedCondition
+from probedesign.prediction.fused import PredictedTouch, worst
 from probedesign.prediction.predict import (
     CAUSE_GROUPS,
     DIRECTION_STEP_DEG,
     HEADLINE_FORCE_N,
-    Condition,
     ErrorOverDirections,
     Prediction,
     shares_of,
-    worst,
 )
 from probedesign.prediction.touches import DIRECTIONS
 from probedesign.prediction.workspace import STEPS, Workspace
 from probedesign.reports.chart import COLOURS, DASHES, MARKS, ORDERED, Chart, ChartAxis, LegendEntry, line_colours
 from probedesign.rod.contact import solve_frictionless
 
-Cell = Condition | FusedCondition
 #: Including Okabe and Ito's eighth colour and a grey.
 _FILL = (*COLOURS, "#F0E442", "#999999")
 _MIN_LABELLED = 0.09  # smallest share with space for its number
@@ -102,9 +99,9 @@ def force_chart(prediction: Prediction) -> Chart:
     for name, rows, key in lines:
         # The worst direction: the largest force that is needed, the smallest that is possible.
         choose, unit = (max, 1.0) if "mN" in key else (min, 1e3)
-        places = sorted({row.contact_fraction for row in rows})
-        values = [[getattr(row, key) for row in rows if row.contact_fraction == place] for place in places]
-        curves[name] = places, [math.nan if None in here else unit * choose(here) for here in values]
+        fractions = sorted({row.contact_fraction for row in rows})
+        values = [[getattr(row, key) for row in rows if row.contact_fraction == fraction] for fraction in fractions]
+        curves[name] = fractions, [math.nan if None in here else unit * choose(here) for here in values]
     chart = _along("contact force [mN]", [v for _, forces in curves.values() for v in forces])
     for (name, (x, y)), colour, dashes, mark in zip(curves.items(), COLOURS, DASHES, MARKS, strict=False):
         chart.line(x, y, colour, dashes, mark, name)
@@ -144,7 +141,7 @@ def sensitivity_chart(prediction: Prediction) -> Chart:
     return chart
 
 
-def budget_chart(conditions: Sequence[Cell]) -> Chart:
+def budget_chart(conditions: Sequence[PredictedTouch]) -> Chart:
     """Return the error budget: the share of each group of sources in the variance, as one bar per condition."""
     y = ChartAxis("share of the variance [%]", 0.0, 106.0, ticks=(0.0, 20.0, 40.0, 60.0, 80.0, 100.0))
     chart = Chart(ChartAxis.named(_PLACE, [f"{c.contact_fraction:g}" for c in conditions]), y)
@@ -164,29 +161,29 @@ def budget_chart(conditions: Sequence[Cell]) -> Chart:
     return chart
 
 
-def error_map(cells: Sequence[Cell], error: Callable[[Cell], float | None]) -> Chart:
+def error_map(cells: Sequence[PredictedTouch], error: Callable[[PredictedTouch], float | None]) -> Chart:
     """Return the error over contact position and force as a map: worst direction, or why there is no estimate.
 
     Args:
         cells: conditions of a whole grid.
         error: returns the mapped error of a condition [mm].
     """
-    places = sorted({c.contact_fraction for c in cells})
+    fractions = sorted({c.contact_fraction for c in cells})
     forces = sorted({c.force_N for c in cells})
     chart = Chart(
-        ChartAxis.named(_PLACE, [f"{p:g}" for p in places]),
+        ChartAxis.named(_PLACE, [f"{p:g}" for p in fractions]),
         ChartAxis.named("contact force [mN]", [f"{1e3 * f:g}" for f in forces]),
     )
-    for i, place in enumerate(places, 1):
+    for i, fraction in enumerate(fractions, 1):
         for j, force in enumerate(forces, 1):
-            here = [c for c in cells if (c.contact_fraction, c.force_N) == (place, force)]
+            here = [c for c in cells if (c.contact_fraction, c.force_N) == (fraction, force)]
             fill, words = _cell(here, error)
             chart.box((i - 0.5, i + 0.5), (j - 0.5, j + 0.5), fill)
             chart.text(i, j, words, size=12.5 if len(words) < 5 else 9.0, on=fill)
     return chart
 
 
-def _cell(here: Sequence[Cell], error: Callable[[Cell], float | None]) -> tuple[str, str]:
+def _cell(here: Sequence[PredictedTouch], error: Callable[[PredictedTouch], float | None]) -> tuple[str, str]:
     bad = next((c.result for c in here if c.result != "ok"), None)
     errors = [e for e in map(error, here) if e is not None]
     if bad or not errors:
@@ -255,7 +252,7 @@ def probe_chart(prediction: Prediction, estimator: Estimator) -> Chart:
     places = np.array(sorted({c.contact_fraction for c in prediction.conditions}))
     fractions = s / model.rod.length
     nearest = places[np.argmin(np.abs(places[:, None] - (fractions[1:] + fractions[:-1]) / 2.0), axis=0)]
-    errors = [located.get(float(place)) for place in nearest]
+    errors = [located.get(float(fraction)) for fraction in nearest]
     levels = [None if error is None else error_level(error) for error in errors]
     ends = [0, *(i for i in range(1, len(levels)) if levels[i] != levels[i - 1]), len(levels)]
     for i, j in pairwise(ends):

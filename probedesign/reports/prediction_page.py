@@ -11,8 +11,8 @@ import numpy as np
 from probedesign.core.units import MILLINEWTON, MM, format_value
 from probedesign.design.catalog import assumed_text
 from probedesign.estimation.estimator import Estimator
-from probedesign.prediction.fused import SHOWN_N, shown
-from probedesign.prediction.predict import HEADLINE_FORCE_N, HEADLINE_FRACTION, Prediction, worst
+from probedesign.prediction.fused import SHOWN_N, worst
+from probedesign.prediction.predict import HEADLINE_FORCE_N, HEADLINE_FRACTION, Prediction
 from probedesign.prediction.workspace import ForceThresholds
 from probedesign.reports.chart import Chart
 from probedesign.reports.html_page import HtmlTable, ReportFigure, report_page
@@ -78,11 +78,11 @@ def prediction_figures(prediction: Prediction, estimator: Estimator) -> Iterator
         "Contact error of one reading by force",
     )  # fmt: skip
     if over := prediction.over_directions:
-        place = min((row.contact_fraction for row in over), key=lambda at: abs(at - HEADLINE_FRACTION))
+        fraction = min((row.contact_fraction for row in over), key=lambda at: abs(at - HEADLINE_FRACTION))
         yield PredictionFigure(
             direction_chart({f"{1e3 * row.force_N:g} mN": row.errors_mm for row in over
-                             if row.contact_fraction == place and row.force_N in (0.005, 0.01, 0.02)}),
-            f"Contact error over the direction of the force, at {place:g} of the length",
+                             if row.contact_fraction == fraction and row.force_N in (0.005, 0.01, 0.02)}),
+            f"Contact error over the direction of the force, at {fraction:g} of the length",
             "The distance from the centre is the RMS error of one reading, all sources included; X and Y are the axes "
             "of the touched section, carried along the probe's axis without twist. The error is large where the force "
             "lies in the plane in which the axis is bent: there the moments do not tell the place.",
@@ -118,7 +118,7 @@ def prediction_figures(prediction: Prediction, estimator: Estimator) -> Iterator
         "included. Limit: of the probe or of the sensor. Worst direction; a line is broken where no force suffices.",
         group=_FORCES,
     )  # fmt: skip
-    if fused := shown(prediction.fused, SHOWN_N):
+    if fused := worst(prediction.fused, SHOWN_N):
         yield PredictionFigure(
             budget_chart(fused), f"Error budget of {k} touches up to {1e3 * fused[0].force_N:g} mN",
             "As before. Robot: position error of the base, independent between touches.", group=_ERRORS,
@@ -193,16 +193,16 @@ def threshold_rows(prediction: Prediction) -> list[tuple[float, list[float | Non
     """Return for each place the forces [mN] from which on a contact is detected, located to 5, 2 and 1 mm, and to 2 mm
     by fused touches, then the largest force, in the worst direction, and the row that limits it."""
     rows: list[tuple[float, list[float | None], ForceThresholds]] = []
-    for place in sorted({row.contact_fraction for row in prediction.reach}):
-        felt = [row for row in prediction.detection if row.contact_fraction == place]
-        reach = [row for row in prediction.reach if row.contact_fraction == place]
-        fused = [row for row in prediction.fused_reach if row.contact_fraction == place]
+    for fraction in sorted({row.contact_fraction for row in prediction.reach}):
+        felt = [row for row in prediction.detection if row.contact_fraction == fraction]
+        reach = [row for row in prediction.reach if row.contact_fraction == fraction]
+        fused = [row for row in prediction.fused_reach if row.contact_fraction == fraction]
         values = [[row.detectable_force_mN for row in felt],
                   *([getattr(row, f"force_mN_for_{mm}_mm") for row in reach] for mm in (5, 2, 1)),
                   [row.force_mN_for_2_mm for row in fused]]  # fmt: skip
         weakest = min(reach, key=lambda row: row.greatest_force_N or 0.0)
         greatest = None if weakest.greatest_force_N is None else weakest.greatest_force_N / MILLINEWTON
-        rows.append((place, [*(max(v) if v and None not in v else None for v in values), greatest], weakest))
+        rows.append((fraction, [*(max(v) if v and None not in v else None for v in values), greatest], weakest))
     return rows
 
 
@@ -210,8 +210,8 @@ def _table(prediction: Prediction) -> HtmlTable:
     head = ["along the probe", "detected from", "5 mm", "2 mm", "1 mm", f"2 mm, {prediction.pressing.touches} fused",
             "maximum force", "limited by", "deflection"]  # fmt: skip
     return HtmlTable(head, [
-        [f"{place:g} L", *map(_force, forces), LIMITS[weakest.limit][0], _mm(weakest.deflection_mm)]
-        for place, forces, weakest in threshold_rows(prediction)
+        [f"{fraction:g} L", *map(_force, forces), LIMITS[weakest.limit][0], _mm(weakest.deflection_mm)]
+        for fraction, forces, weakest in threshold_rows(prediction)
     ])  # fmt: skip
 
 

@@ -48,8 +48,8 @@ class RecordedTouch:
         if not self.located:
             return time
         low, high = self.s_mm
-        place = f"s = {low:.1f} mm" if high - low < 0.1 else f"s = {low:.1f} ... {high:.1f} mm"
-        return f"{time}, {place}, up to {self.force_mN:.3g} mN, RMS error {self.rms_mm:.2g} mm in the median"
+        where = f"s = {low:.1f} mm" if high - low < 0.1 else f"s = {low:.1f} ... {high:.1f} mm"
+        return f"{time}, {where}, up to {self.force_mN:.3g} mN, RMS error {self.rms_mm:.2g} mm in the median"
 
 
 def touches_in(rows: Sequence[Row]) -> list[RecordedTouch]:
@@ -143,21 +143,21 @@ def _figures(rows: Sequence[Row]) -> list[ReportFigure]:
     thinned = f" One of {step} readings is drawn." if step > 1 else ""
     gaps = " The lines end where no contact was located."
     s, std = (np.array([float(row[name]) for row in shown]) for name in ("s_contact_mm", "std_s_mm"))
-    place = _over_time(shown, "arclength of the contact [mm]", [*(s - std), *(s + std)])
+    arclength = _over_time(shown, "arclength of the contact [mm]", [*(s - std), *(s + std)])
     finite = np.concatenate([[False], np.isfinite(s), [False]])
     for low, high in np.flatnonzero(np.diff(finite)).reshape(-1, 2).tolist():  # runs of located contacts
         time = _column(shown[low:high], "time_s")
         band = [*zip(time, (s + std)[low:high], strict=True), *zip(time[::-1], (s - std)[low:high][::-1], strict=True)]
-        place.area([(float(a), float(b)) for a, b in band], COLOURS[1], 0.25)
-    _draw(place, shown, s, COLOURS[1], "estimated, ± one standard deviation")
+        arclength.area([(float(a), float(b)) for a, b in band], COLOURS[1], 0.25)
+    _draw(arclength, shown, s, COLOURS[1], "estimated, ± one standard deviation")
     if "true_s_contact_mm" in shown[0]:
-        place.line(_column(shown, "time_s"), _column(shown, "true_s_contact_mm"), COLOURS[0], "5 3", name="true")
+        arclength.line(_column(shown, "time_s"), _column(shown, "true_s_contact_mm"), COLOURS[0], "5 3", name="true")
     force = _over_time(shown, "force [mN]", [*_force(shown), 0.0])
     _draw(force, shown, _force(shown), COLOURS[2])
     error = _over_time(shown, "RMS error [mm]", [*_rms(shown), 0.0])
     _draw(error, shown, _rms(shown), COLOURS[3])
     return [
-        ReportFigure("Place of the contact", f"A pointer on a dot shows its values.{gaps}{thinned}", place.svg()),
+        ReportFigure("Place of the contact", f"A pointer on a dot shows its values.{gaps}{thinned}", arclength.svg()),
         ReportFigure("Force on the probe", f"Magnitude of the located force.{gaps}{thinned}", force.svg()),
         ReportFigure("Stated error", f"RMS distance between true and located point.{gaps}{thinned}", error.svg()),
     ]

@@ -217,8 +217,8 @@ def _words(trial: ValidatedTest) -> str:
     if trial.kind == "free":
         return "free"
     force = f"{trial.force / MILLINEWTON:.3g} mN"
-    place = "" if math.isnan(trial.fraction) else f" at {trial.fraction:.2g} L"
-    return f"{force}{place}{', ' if trial.test.direction else ''}{trial.test.direction}"
+    where = "" if math.isnan(trial.fraction) else f" at {trial.fraction:.2g} L"
+    return f"{force}{where}{', ' if trial.test.direction else ''}{trial.test.direction}"
 
 
 def _shape(trial: ValidatedTest, model: ProbeModel) -> ReportFigure:

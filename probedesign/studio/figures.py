@@ -17,7 +17,7 @@ from probedesign.core.frames import Array
 from probedesign.core.parallel import OnProgress, quiet
 from probedesign.design import Design
 from probedesign.estimation.estimate import Estimate
-from probedesign.prediction.fused import SHOWN_N, shown
+from probedesign.prediction.fused import SHOWN_N, worst
 from probedesign.prediction.predict import (
     FORCES_N,
     FRACTIONS,
@@ -26,7 +26,6 @@ from probedesign.prediction.predict import (
     Condition,
     Prediction,
     predict,
-    worst,
 )
 from probedesign.printing.check import check_print
 from probedesign.probe import Probe, build_probe
@@ -193,9 +192,9 @@ def _figures(
 
 def errors_along(figures: DesignFigures, force_N: float) -> dict[float, float | None]:
     """Return the error [mm] of a touch of the nearest force by its fraction of the length; None where not located."""
-    places = dict.fromkeys(c.contact_fraction for c in figures.prediction.conditions)
-    rows = ((place, figures.at(place, force_N)) for place in places)
-    return {place: None if row is None else row.predicted_error_mm for place, row in rows}
+    fractions = dict.fromkeys(c.contact_fraction for c in figures.prediction.conditions)
+    rows = ((fraction, figures.at(fraction, force_N)) for fraction in fractions)
+    return {fraction: None if row is None else row.predicted_error_mm for fraction, row in rows}
 
 
 @dataclass(frozen=True)
@@ -314,7 +313,7 @@ def fused_chart(figures: DesignFigures, pinned: Sequence[tuple[PinnedDesign, Des
     lines = []
     designs = [("this design", figures), *((pin.label, other) for pin, other in pinned)]
     for (label, shown_figures), colour, dashes in zip(designs, COLOURS, DASHES, strict=False):
-        rows = shown(shown_figures.prediction.fused, SHOWN_N) if shown_figures.complete else ()
+        rows = worst(shown_figures.prediction.fused, SHOWN_N) if shown_figures.complete else ()
         if rows:
             errors = [math.nan if c.predicted_error_mm is None else c.predicted_error_mm for c in rows]
             lines.append((label, [c.contact_fraction for c in rows], errors, colour, dashes))

@@ -453,9 +453,9 @@ class StudioPage:
         points = np.zeros((0, 3))
         if self._touch["cloud"].value and self._drawn is not None:
             points = estimate_cloud(self._probe, self._drawn, self.session.touch, self._yield)
-            off = np.sqrt(np.mean(np.sum((points - self._drawn.p_surface) ** 2, axis=1))) / MM if len(points) else 0.0
+            rms = np.sqrt(np.mean(np.sum((points - self._drawn.p_surface) ** 2, axis=1))) / MM if len(points) else 0.0
             self._touch["scatter"].content = styled(
-                f"<p class=note>{len(points)} of {N_CLOUD} located, {off:.2g} mm RMS</p>"
+                f"<p class=note>{len(points)} of {N_CLOUD} located, {rms:.2g} mm RMS</p>"
             )
         with self._server.atomic():
             self._scene.show_cloud(points)

@@ -277,16 +277,16 @@ class StudioScene:
         camera.position = middle + distance * direction / np.linalg.norm(direction)
         camera.look_at = middle  # last: the position moves it too
         self._framed = self._length, along, self._aside
-        self._shade(place=True)
+        self._shade(place_floor=True)
 
-    def _shade(self, place: bool = False) -> None:
-        """Draw the shadows, after placing the floor below probe and mount if `place`."""
+    def _shade(self, place_floor: bool = False) -> None:
+        """Draw the shadows, after placing the floor below probe and mount if `place_floor`."""
         if self._shown is None:
             return
         probe, _, bent = self._shown
         T, tube = level_rotation(probe.model.gravity_base), _tube(probe)
         body, mount = tube.vertices(bent) @ T.T, self._hull @ T.T
-        if place:
+        if place_floor:
             low, high = (getattr(np.concatenate([body, mount]), end)(axis=0) for end in ("min", "max"))
             front, tail = low - (0.0, 0.02, BELOW), low - (0.0, 0.01, -0.005)
             front[0] = 0.5 * (low[0] + high[0])

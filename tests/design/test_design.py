@@ -12,7 +12,15 @@ from probedesign.cli.main import run
 from probedesign.core.errors import InputError
 from probedesign.design import Design, check_design, load_design, parse_design
 from probedesign.design.catalog import RESINS, ROBOT_FLANGES
-from probedesign.design.io import default_name, default_tip_d_mm, draft_design, render_design, sensor_keys, write_design
+from probedesign.design.io import (
+    default_name,
+    default_tip_d_mm,
+    new,
+    notes_of,
+    render_design,
+    sensor_keys,
+    write_design,
+)
 from probedesign.design.sensor_catalog import SENSORS
 
 DESIGNS = Path(__file__).parents[2] / "designs"
@@ -338,8 +346,8 @@ def test_any_value_of_any_key(data):
 
 
 def write_new(path: Path, **changes: object) -> Design:
-    design, notes = draft_design(None, **({"shape": "cone", "length_mm": 150.0, "base_d_mm": 12.0} | changes))
-    write_design(render_design(design, notes), path)
+    design = new(None, **({"shape": "cone", "length_mm": 150.0, "base_d_mm": 12.0} | changes))
+    write_design(render_design(design, notes_of(design)), path)
     return design
 
 
@@ -414,11 +422,11 @@ def test_a_boolean_is_written_as_toml(tmp_path, tared):
 )
 def test_any_valid_parameters_read_back(shape, length, base, taper, resin, sensor, robot_flange):
     tip = None if taper is None or shape == "cylinder" else 0.3 + taper * (base - 0.3)
-    design, notes = draft_design(
+    design = new(
         None, shape=shape, length_mm=length, base_d_mm=base, tip_d_mm=tip,
         resin=resin, sensor=sensor, robot_flange=robot_flange,
     )  # fmt: skip
-    assert parse_design(render_design(design, notes)) == design
+    assert parse_design(render_design(design, notes_of(design))) == design
     assert (design.probe.length_mm, design.probe.base_d_mm) == (length, base)
     assert tip is None or design.probe.tip_d_mm == tip
 
@@ -430,8 +438,8 @@ def test_any_valid_parameters_read_back(shape, length, base, taper, resin, senso
 def test_any_section_reads_back(section, share):
     kind, key, low, high = section
     ratio = min(high, low + share * (high - low))
-    design, notes = draft_design(None, shape="cone", length_mm=150.0, base_d_mm=12.0, section=kind, **{key: ratio})
-    assert parse_design(render_design(design, notes)) == design
+    design = new(None, shape="cone", length_mm=150.0, base_d_mm=12.0, section=kind, **{key: ratio})
+    assert parse_design(render_design(design, notes_of(design))) == design
     assert getattr(design.probe.cross_section, key) == ratio
     assert kind in design.name  # so that it does not take the round probe's name
 
@@ -535,7 +543,7 @@ def test_default_tip(base, tip):
 
 @given(st.floats(0.3, 60.0))
 def test_a_default_tip_is_always_allowed(base):
-    design, _ = draft_design(None, shape="cone", length_mm=100.0, base_d_mm=base)
+    design = new(None, shape="cone", length_mm=100.0, base_d_mm=base)
     assert design.probe.tip_d_mm <= base
 
 

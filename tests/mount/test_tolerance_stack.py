@@ -10,7 +10,7 @@ import pytest
 from probedesign.core.errors import InputError
 from probedesign.design import parse_design
 from probedesign.design.catalog import SCREWS
-from probedesign.design.io import draft_design, render_design
+from probedesign.design.io import new, render_design
 from probedesign.mount import Mount, build_geometry
 from probedesign.mount.mount import (
     ROOT_STD,
@@ -207,9 +207,9 @@ def test_a_clamped_root_is_the_computed_one_of_the_base_and_flange_as_they_are()
         probe = build_probe(parse_design(text))
         assert root_radii(probe.design, probe.geometry) == root
         assert probe.rod.rigid_length == pytest.approx(root * base_d / 2e3, abs=1e-12)
-    new, _ = draft_design("x", shape="cone", length_mm=100.0, base_d_mm=12.0)
-    assert 'hold = "clamped"' in render_design(new) and new.mount.root_rigid_radii is None
-    assert "mount.root_rigid_radii" in new.assumptions  # computed, not measured
+    drafted = new("x", shape="cone", length_mm=100.0, base_d_mm=12.0)
+    assert 'hold = "clamped"' in render_design(drafted) and drafted.mount.root_rigid_radii is None
+    assert "mount.root_rigid_radii" in drafted.assumptions  # computed, not measured
 
 
 def test_a_stated_root_that_contradicts_the_hold_is_found() -> None:

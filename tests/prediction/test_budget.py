@@ -11,7 +11,7 @@ from scipy import stats
 from probedesign.core.errors import InputError
 from probedesign.design import check_design, load_design
 from probedesign.design.catalog import RESINS
-from probedesign.design.io import draft_design
+from probedesign.design.io import new
 from probedesign.estimation.error_sources import parameters_of
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.model import SOURCES, Tolerances
@@ -94,7 +94,7 @@ def test_an_object_slides_off_a_soft_tip_and_stays_on_a_stiff_stem(large):
 
 def test_a_slide_along_the_probe_does_not_end_where_an_object_without_friction_would_roll_off_its_side():
     # 122.4 x 12 x 2 mm at 0.8 L: at 4.9 mN it is deflected by its radius there, and the side becomes unstable.
-    probe = build_probe(draft_design(None, shape="cone", length_mm=122.4, base_d_mm=12.0, tip_d_mm=2.0)[0])
+    probe = build_probe(new(length_mm=122.4, base_d_mm=12.0, tip_d_mm=2.0))
     on = surface_rod(probe)
     slides = [
         slide(on, 0.8 * probe.length, -np.pi / 2, (0.5 * force, force)) for force in np.arange(0.003, 0.008, 5e-4)
