@@ -7,7 +7,7 @@ from importlib import import_module
 from benchmarks.timing import print_machine
 
 #: Benchmarks by module. Each is imported when it runs, because worker processes import this module again.
-PARTS = ("rod", "start", "install", "estimation", "curved", "detection", "identify", "pictured",
+PARTS = ("rod", "start", "install", "estimation", "curved", "identify", "pictured",
          "planning", "table1", "optimisation", "export", "live", "recording", "view", "studio",
          "pictures", "day", "motion", "explore", "shapes", "coverage", "twin", "real")  # fmt: skip
 
@@ -27,12 +27,11 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("--bounds", action="store_true", help="coverage: print the bounds of one touch instead")
     parser.add_argument("--workers", type=int, help="coverage: number of processes, default 2")
     parser.add_argument("--data", help="real: folder with measurements by others")
-    parser.add_argument("--json", action="store_true", help="coverage: print JSON")
     args = parser.parse_args(arguments)
     unknown = [name for name in args.parts if name not in PARTS]
     if unknown:
         parser.error(f"there is no benchmark '{unknown[0]}'; choose from {', '.join(PARTS)}")
-    if not args.json and args.parts != ["real"]:  # where no time counts
+    if args.parts != ["real"]:  # where no time counts
         print_machine()
     for name in args.parts or PARTS:
         given: dict[str, object] = {}
@@ -48,7 +47,7 @@ def main(arguments: list[str]) -> int:
             given = {"hours": args.hours}
         elif name == "coverage":
             given = {"draws": args.draws, "only": args.only, "bounds_only": args.bounds or None,
-                     "as_json": args.json or None, "workers": args.workers}  # fmt: skip
+                     "workers": args.workers}  # fmt: skip
         options = {option: value for option, value in given.items() if value is not None}
         import_module(f"benchmarks.{name}").report(**options)
     return 0

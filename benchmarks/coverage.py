@@ -1,6 +1,6 @@
 """Coverage, NEES and error over bound of the estimators, by error source, friction and force.
 
-`python -m benchmarks coverage [--draws N] [--only WORD] [--bounds] [--json]`
+`python -m benchmarks coverage [--draws N] [--only WORD] [--bounds]`
 
 Probes, mounts, sensors, friction and touches are drawn from the priors, and their readings are simulated by the
 reference rod of `tests/reference/cosserat.py`, which shares no code with the estimators. A draw is counted if the
@@ -8,7 +8,6 @@ Cramér–Rao bound of the touched point is below 6 mm, with all drawn error sou
 unknown; at a given place every draw counts.
 """
 
-import json
 import math
 import sys
 import time
@@ -380,8 +379,8 @@ def light_row(job: tuple[bool, float, int]) -> dict[str, Any]:
     return {"estimator": "exact" if exact else "default", "force_mN": 1e3 * newtons, "draws": n,
             "ok_share": len(statistics.nees) / n,
             "ok_outside_share": (len(statistics.nees) - statistics.n_inside_95) / n,
-            "interval_only_share": len(held) / n, "interval_only_misses_share": (len(held) - sum(held)) / n,
-            "results": dict(statistics.results)}  # fmt: skip
+            "interval_only_share": len(held) / n,
+            "interval_only_misses_share": (len(held) - sum(held)) / n}  # fmt: skip
 
 
 # Fused touches
@@ -640,23 +639,17 @@ def print_bounds(rows: Sequence[dict[str, Any]]) -> None:
                   *(f"{value:.2f}" for value in row["bound_mm"].values())] for row in rows])  # fmt: skip
 
 
-def report(draws: int = DRAWS, only: str | None = None, bounds_only: bool = False, as_json: bool = False,
-           workers: int = 2) -> None:  # fmt: skip
-    """Print the tables, or one JSON document.
+def report(draws: int = DRAWS, only: str | None = None, bounds_only: bool = False, workers: int = 2) -> None:
+    """Print the tables.
 
     Args:
         draws: single touches of each row; rows of fused touches have 0.3 of that.
         only: run only rows whose group or name contains this text, ignoring case; None runs all rows.
         bounds_only: print the bounds of one touch instead.
-        as_json: print JSON.
         workers: number of processes.
     """
     if bounds_only:
-        rows = bounds()
-        if as_json:
-            print(json.dumps(rows, indent=2))
-        else:
-            print_bounds(rows)
+        print_bounds(bounds())
         return
     light = list[dict[str, Any]]()
     if only is None or only.lower() in LIGHT.lower():
@@ -667,10 +660,6 @@ def report(draws: int = DRAWS, only: str | None = None, bounds_only: bool = Fals
     cases = [case for case in every if only is None or only.lower() in f"{case.group}, {case.name}".lower()]
     fused_draws = max(1, round(draws * FUSED_DRAWS / DRAWS))
     found = run(cases, draws, fused_draws, workers, lambda line: print(line, file=sys.stderr, flush=True))
-    if as_json:
-        rows = [{"group": case.group, "case": case.name, **row} for case, row in found]
-        print(json.dumps(rows + [{"group": LIGHT, **row} for row in light], indent=2))
-        return
     if light:
         shares = ("ok_share", "ok_outside_share", "interval_only_share", "interval_only_misses_share")
         print_table(LIGHT, ["estimator", "force", "draws", "ok", "ok, but outside", "interval_only", "but outside"],

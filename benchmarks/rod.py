@@ -1,4 +1,4 @@
-"""Speed of the rod: against other solvers, in its kernel, by calls from Python and in batches, with its targets."""
+"""Speed of the rod: against other solvers, in its kernel, by calls from Python and in batches."""
 
 import os
 import time
@@ -11,29 +11,24 @@ import numpy as np
 
 from benchmarks import solver_comparison
 from benchmarks.cases import Cases, Load, bare_large, paper_loads, random_cases, random_loads
-from benchmarks.solver_comparison import NODES, Measurement, solver
-from benchmarks.timing import format_seconds, interleaved, print_table, two_digits, value_range
+from benchmarks.solver_comparison import NODES, solver
+from benchmarks.timing import format_seconds, interleaved, print_table, value_range
 from probedesign.core.frames import Array
 from probedesign.rod.batch import CHUNK, solve_batch
 from probedesign.rod.kernels.equations import ALL_COLUMNS, LOAD_COLUMNS, OK, Body
 from probedesign.rod.kernels.newton import COLD, SOLUTION, scratch_buffers, solve_cases
 from probedesign.rod.rod import RESULTS, TOLERANCES, Rod
 
-#: Targets of the time of a cold solve, a warm solve and a call from Python [s].
-MAX_COLD, MAX_WARM, MAX_CALL = 30e-6, 20e-6, 60e-6
-MIN_BATCH_RATE = 80_000.0  #: Target of the solutions per second on two cores.
 CASES, SINGLE_CASES = 100_000, 10_000  #: Cases of a batch, and cases that are timed one by one.
 ROUNDS, BATCH_ROUNDS = 9, 3
 
-COLD_SOLVE = "cold: tip, base moment, contact"
-JACOBIAN = "neighbouring load, with the Jacobian by force and s_contact"
 #: Derivatives, nodes of the shape and whether it starts from a neighbouring load, of each solve that is timed.
 SOLVES = {
-    COLD_SOLVE: (0, 0, False),
+    "cold: tip, base moment, contact": (0, 0, False),
     "cold with the shape": (0, NODES, False),
     "cold, with the Jacobian by force and s_contact": (LOAD_COLUMNS, 0, False),
     "neighbouring load": (0, 0, True),
-    JACOBIAN: (LOAD_COLUMNS, 0, True),
+    "neighbouring load, with the Jacobian by force and s_contact": (LOAD_COLUMNS, 0, True),
     "neighbouring load, with all 18 derivatives": (ALL_COLUMNS + 2, 0, True),
 }
 
@@ -51,22 +46,20 @@ class Batch(NamedTuple):
 def report() -> None:
     """Run and print all measurements of the rod."""
     rod = bare_large()
-    comparison = solver_comparison.compare(rod)
-    solver_comparison.print_comparison(comparison)
-    calls = solver_comparison.calls_from_python(rod)
-    solver_comparison.print_calls(calls)
+    solver_comparison.print_comparison(solver_comparison.compare(rod))
+    solver_comparison.print_calls(solver_comparison.calls_from_python(rod))
     kernel = kernel_seconds(rod, paper_loads(rod))
     print_table(
         f"Kernel time, fast mode, the large probe under 4 loads of the paper. Medians of {ROUNDS} interleaved rounds",
         ["one equilibrium", "time"],
         [[name, value_range(seconds, format_seconds)] for name, seconds in kernel.items()],
     )
-    batches = {
-        "random probes": measure_batch(random_cases(CASES)),
-        "large probe, random loads": measure_batch(random_loads(rod, CASES)),
-    }
-    print_batches(batches)
-    print_targets(comparison, kernel, calls[solver_comparison.CALLS[0]], batches)
+    print_batches(
+        {
+            "random probes": measure_batch(random_cases(CASES)),
+            "large probe, random loads": measure_batch(random_loads(rod, CASES)),
+        }
+    )
 
 
 def kernel_seconds(rod: Rod, loads: Sequence[Load]) -> dict[str, list[float]]:
@@ -166,34 +159,3 @@ def print_batches(batches: dict[str, Batch]) -> None:
             row("solve_batch, everything included", lambda b: f"{CASES * b.shares['ok'] / b.whole:,.0f} /s"),
         ],
     )  # fmt: skip
-
-
-def print_targets(
-    comparison: Sequence[dict[str, Measurement]], kernel: dict[str, list[float]], call: float, batches: dict[str, Batch]
-) -> None:
-    """Print measured values and targets."""
-
-    def row(name: str, measured: str, target: str, reached: bool) -> list[str]:
-        return [name, measured, target, "reached" if reached else "missed"]
-
-    def upper(name: str, seconds: float, most: float) -> list[str]:
-        return row(name, format_seconds(seconds), f"≤ {format_seconds(most)}", seconds <= most)
-
-    rows = [upper("one equilibrium, cold, kernel time", max(kernel[COLD_SOLVE]), MAX_COLD)]
-    for start, target in solver_comparison.TARGETS.items():
-        name = solver_comparison.most_accurate(start, comparison)
-        if name:
-            ratio = min(solver_comparison.ratios(name, comparison, solver_comparison.KERNEL))
-            rows.append(row(f"time of {name} over it", two_digits(ratio), f"≥ {target:g}", ratio >= target))
-    rows.append(upper("from a neighbouring load with the Jacobian", max(kernel[JACOBIAN]), MAX_WARM))
-    rows.append(upper("one call from Python, cold", call, MAX_CALL))
-    for name, batch in batches.items():
-        threads, rate = max(batch.rates.items())
-        rows.append(row(f"{name}: solutions per second on {threads} threads", f"{rate:,.0f}",
-                        f"≥ {MIN_BATCH_RATE:,.0f}", rate >= MIN_BATCH_RATE))  # fmt: skip
-    print_table(
-        "Targets, for the least favourable of the loads; of each other solver the variant with the smallest error that "
-        "is not below the error of Rod.solve",
-        ["", "measured", "target", ""],
-        rows,
-    )

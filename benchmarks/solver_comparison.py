@@ -21,8 +21,6 @@ NODES = 64  #: Nodes of the shape.
 NEIGHBOUR = 1.01  #: Factor on the force of the neighbouring load that a warm solve starts from.
 STATIONS = 31  #: Stations at which centrelines are compared.
 ROD, KERNEL = "Rod.solve", "kernel of Rod.solve, with the shape"
-#: Target of the time over that of the kernel, by the first words of the method's row.
-TARGETS = {"RK45 shooting": 5000.0, "solve_bvp": 500.0}
 CALLS = ("cold", "from a neighbouring load", "the same with the Jacobian by force and s_contact",
          "the same with all derivatives")  # fmt: skip
 
@@ -119,47 +117,28 @@ def print_comparison(found: Sequence[dict[str, Measurement]]) -> None:
     print_table(
         f"One equilibrium of the large probe, cold, range over {len(found)} loads of the paper. "
         f"Medians of up to {ROUNDS} interleaved rounds",
-        ["method", "time", "error [µm]", f"time / {ROD}", "time / kernel", "target of time / kernel"],
+        ["method", "time", "error [µm]", f"time / {ROD}", "time / kernel"],
         [row(name, found) for name in found[0]],
     )
     print("  error: largest distance from the converged centreline (Rod.solve in reference mode, "
-          "which tests/rod/test_truth.py and test_balance.py compare with closed forms)\n"
-          "  target: for every load, and only for methods whose error is not below that of Rod.solve")  # fmt: skip
+          "which tests/rod/test_truth.py and test_balance.py compare with closed forms)")  # fmt: skip
 
 
 def row(name: str, found: Sequence[dict[str, Measurement]]) -> list[str]:
     """Return the row of one method."""
     measured = [case[name] for case in found]
-    target = next((times for start, times in TARGETS.items() if name.startswith(start)), None)
-    over_kernel = ratios(name, found, KERNEL)
-    verdict = ""
-    if target:
-        reached = eligible(name, found) and min(over_kernel) >= target
-        verdict = f"≥ {target:g}: {'reached' if reached else 'missed'}"
     return [
         name,
         value_range([m.seconds for m in measured], format_seconds),
         value_range([m.error for m in measured], lambda error: "< 0.001" if error < 1e-9 else two_digits(error / 1e-6)),
         value_range(ratios(name, found, ROD), two_digits),
-        value_range(over_kernel, two_digits),
-        verdict,
+        value_range(ratios(name, found, KERNEL), two_digits),
     ]
 
 
 def ratios(name: str, found: Sequence[dict[str, Measurement]], reference: str) -> list[float]:
     """Return the time of a method over that of a reference method for every case."""
     return [case[name].seconds / case[reference].seconds for case in found]
-
-
-def eligible(name: str, found: Sequence[dict[str, Measurement]]) -> bool:
-    """Return whether the error of a method is nowhere below that of `Rod.solve`."""
-    return all(case[ROD].error <= case[name].error for case in found)
-
-
-def most_accurate(start: str, found: Sequence[dict[str, Measurement]]) -> str | None:
-    """Return the eligible method with the smallest error whose name has this start, or None."""
-    names = [name for name in found[0] if name.startswith(start) and eligible(name, found)]
-    return min(names, key=lambda name: max(case[name].error for case in found), default=None)
 
 
 def calls_from_python(rod: Rod) -> dict[str, float]:
