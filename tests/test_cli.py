@@ -71,18 +71,11 @@ def test_help_lists_every_command_and_loads_nothing_heavy(tmp_path):
 
 @pytest.mark.parametrize(
     "arguments",
-    [
-        ("nwe",),
-        ("new",),
-        ("new", "--length", "abc", "--base-d", "12"),
-        ("new", "--length", "nan", "--base-d", "12"),
-        ("new", "../up", "--length", "150", "--base-d", "12"),
-        ("export", "none.toml", "--otu", "x"),
-    ],
+    [("nwe",), ("new",), ("new", "--length", "abc", "--base-d", "12"), ("export", "none.toml", "--otu", "x")],
 )
-def test_invalid_command_line_is_one_line_and_status_2(tmp_path, arguments):
-    result = command(*arguments, cwd=tmp_path)
-    assert_refused(result.stdout, result.stderr, result.returncode)
+def test_invalid_command_line_is_one_line_and_status_2(tmp_path, monkeypatch, capsys, arguments):
+    monkeypatch.chdir(tmp_path)
+    refused(capsys, *arguments)
     assert list(tmp_path.iterdir()) == []
 
 

@@ -149,8 +149,6 @@ def test_the_same_probe_gives_the_same_bytes(model, tmp_path):
     for name in ("a", "b"):
         write_frozen(build_probe(load_design(DESIGNS / "large.toml")).model, tmp_path / name)
     assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
-    write_frozen(load_model(tmp_path / "a"), tmp_path / "b")
-    assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
 
 
 def test_the_file_is_indented_and_states_provenance_and_stiffness(model, frozen, path):
@@ -180,17 +178,6 @@ def probe_with(section):
     """The large probe with another section."""
     text = (DESIGNS / "large.toml").read_text(encoding="utf-8")
     return build_probe(parse_design(text.replace("[material]", f"{SECTIONS[section]}\n[material]", 1)))
-
-
-@pytest.mark.parametrize("section", SECTIONS)
-def test_a_section_reads_back(section, path, model):
-    wanted = probe_with(section).model
-    assert wanted.fingerprint != model.fingerprint
-    write_frozen(wanted, path)
-    back = load_model(path)
-    assert back.cross_section == wanted.cross_section
-    assert back.rod.factors == wanted.rod.factors == wanted.cross_section.factors != (1.0,) * 4
-    assert back.fingerprint == wanted.fingerprint
 
 
 AXES = {
@@ -293,11 +280,8 @@ def test_a_friction_out_of_range_is_refused(value, frozen, path):
 )  # fmt: skip
 def test_a_missing_part_is_refused_under_a_valid_checksum(at, frozen, path):
     refused(path, signed(with_changed(frozen, at, remove)), at[-1])
-
-
-@pytest.mark.parametrize("part", ["contact", "tolerances", "spread"])
-def test_an_empty_part_is_refused(part, frozen, path):
-    refused(path, signed({**frozen, part: None}))
+    if len(at) == 1:
+        refused(path, signed({**frozen, at[0]: None}))
 
 
 def test_an_unknown_provenance_is_refused(frozen, path):
@@ -486,11 +470,6 @@ def test_a_manifest_without_a_fingerprint_is_refused(content, model, tmp_path):
     manifest.write_text(content)
     with pytest.raises(InputError):
         check_manifest(model.parts, manifest)
-
-
-def test_different_geometries_have_different_fingerprints():
-    models = [build_probe(load_design(DESIGNS / f"{n}.toml")).model for n in ("large", "medium", "small")]
-    assert len({m.fingerprint for m in models}) == 3
 
 
 # Imports

@@ -268,9 +268,8 @@ def test_mounting_triad_is_turned_from_the_tool_triad(large: CadModel) -> None:
 @pytest.mark.parametrize(
     ("flange", "reach", "spigot_r"), [("iso-9409-1-50-4-m6", 25.0, 15.65), ("iso-9409-1-31.5-4-m5", 15.75, 9.9)]
 )
-def test_robot_side(large: CadModel, flange: str, reach: float, spigot_r: float) -> None:
-    design = design_of(robot_flange=flange)
-    model = large if design == large.design else build_cad(design)
+def test_robot_side(flange: str, reach: float, spigot_r: float) -> None:
+    model = build_cad(design_of(robot_flange=flange))
     plate = model.parts["flange_adapter"].shape
     for azimuth in (45, 135, 225, 315):  # from the dowel, through and through
         assert not any(filled(plate, at(azimuth, reach, z)) for z in (0.1, 3.0, 6.4))
@@ -378,15 +377,6 @@ def test_all_assembly_corridors_are_free_and_a_covered_screw_is_detected(large: 
     assert ways(large, clamp_ring=aside)["ring_screws"] > 0.0
     over = replace(plate, T_sensor_part=pose(p=[0.0, 0.0, 50e-3]) @ plate.T_sensor_part)
     assert ways(large, flange_adapter=over)["sensor_adapter_screws"] > 0.0
-
-
-def test_every_part_is_mounted_onto_a_present_part(large: CadModel) -> None:
-    present = {"sensor", "sensor_adapter"}  # the adapter is prepared on the bench
-    for step in assembly_steps(large.screws, large.adapter, large.plate):
-        for move in step.moves:
-            assert move.onto in present
-            present |= set(move.parts)
-    assert present == set(large.parts)
 
 
 # ---- the whole
@@ -614,11 +604,3 @@ def test_overlap_is_detected(large: CadModel) -> None:
                        0.0, 0.2e-3, epsabs=1e-22, epsrel=1e-12)  # fmt: skip
     expected = np.pi / 4 * a.flange.diameter**2 * 0.2e-3 - inner - notch
     assert shared == pytest.approx(expected, rel=1e-9)  # exact surfaces
-
-
-def test_same_triangles_on_every_run(large: CadModel, large_meshes: Meshes) -> None:
-    again = build_cad(design_of())
-    for name, mesh in large_meshes[0].items():
-        fresh = tessellate(again.parts[name].shape)
-        assert np.array_equal(mesh.vertices, fresh.vertices)
-        assert np.array_equal(mesh.faces, fresh.faces)

@@ -72,6 +72,7 @@ def test_the_papers_probes(name, length, assumed):
         "contact.object_compliance_m_N",
     )  # fmt: skip
     assert design.friction.value == 0.6
+    assert design.probe.cross_section.full_round and parse_design(render_design(design)) == design
 
 
 @pytest.mark.parametrize("value", ['"2026-13-40"', '"soon"', "2026-01-31", "5"])
@@ -136,12 +137,6 @@ def test_a_friction_that_is_none_names_key_and_line(value):
     assert '"' in value or "[" in value or value == "true" or "allowed is 0 ... inf" in message
 
 
-def test_a_misspelt_friction_names_its_line_and_the_nearest_key():
-    line = PLAIN[: PLAIN.index("friction = 0.6")].count("\n") + 1
-    message = f"large.toml:{line}: unknown key 'contact.fricton'; did you mean 'contact.friction'?"
-    assert problem("friction = 0.6", "fricton = 0.6") == message
-
-
 @pytest.mark.parametrize(("key", "most"), [("root_radii", "1"), ("gain", "0.5"), ("stiffness_scatter", "0.5")])
 def test_the_tolerances_of_root_gain_and_scatter_are_bounded(key, most):
     text = f"{PLAIN}[tolerances]\n"
@@ -162,22 +157,6 @@ def test_a_given_number_overrides_the_resin():
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "message"),
-    [
-        ("tip_d_mm = 2.0", "tip_mm = 2.0", "did you mean 'probe.tip_d_mm'"),
-        ("length_mm", "lenght_mm", "did you mean 'probe.length_mm'"),
-        ("[mount]", "[mout]", "did you mean 'mount'"),
-        ("[print]", "[colour]\nred = 1\n[print]", "unknown key 'colour'"),
-        ("printer", "printr", "did you mean 'print.printer'"),
-        ("[contact]", "[contacts]", "did you mean 'contact'"),
-        ("[print]", "[tolerances]\nroot_radius = 0.1\n[print]", "did you mean 'tolerances.root_radii'"),
-    ],
-)
-def test_unknown_and_misspelt_keys_suggest_the_nearest(old, new, message):
-    assert message in problem(old, new)
-
-
-@pytest.mark.parametrize(
     "key", ["length_mm = 150.0", "base_d_mm = 12.0", "tip_d_mm = 2.0", "youngs_modulus_mpa = 2.32"]
 )
 @pytest.mark.parametrize("value", ["nan", "inf", "-inf", "-3.0", "0.0", "1e9", "true", '"150"', "[1.0]", "1979-05-27"])
@@ -186,11 +165,6 @@ def test_a_bad_number_names_key_and_line(key, value):
     line = PLAIN[: PLAIN.index(key)].count("\n") + 1
     assert problem(key, f"{name} = {value}").startswith(f"large.toml:{line}: ")
     assert name in problem(key, f"{name} = {value}")
-
-
-def test_a_value_out_of_range_names_the_range():
-    message = problem("length_mm = 150.0", "length_mm = 1500.0")
-    assert "probe.length_mm = 1500.0 is out of range; allowed is 5 ... 400" in message
 
 
 @pytest.mark.parametrize("digits", [400, 5000])
@@ -202,6 +176,15 @@ def test_an_endless_integer(digits):
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
+        ("tip_d_mm = 2.0", "tip_mm = 2.0", "did you mean 'probe.tip_d_mm'"),
+        ("length_mm", "lenght_mm", "did you mean 'probe.length_mm'"),
+        ("friction = 0.6", "fricton = 0.6", ": unknown key 'contact.fricton'; did you mean 'contact.friction'?"),
+        ("[mount]", "[mout]", "did you mean 'mount'"),
+        ("[print]", "[colour]\nred = 1\n[print]", "unknown key 'colour'"),
+        ("printer", "printr", "did you mean 'print.printer'"),
+        ("[contact]", "[contacts]", "did you mean 'contact'"),
+        ("[print]", "[tolerances]\nroot_radius = 0.1\n[print]", "did you mean 'tolerances.root_radii'"),
+        ("150.0", "1500.0", "probe.length_mm = 1500.0 is out of range; allowed is 5 ... 400"),
         ("tip_d_mm = 2.0", "tip_d_mm = 14.0", "tip_d_mm = 14.0 is wider than base_d_mm = 12.0"),
         ("tip_d_mm = 2.0", "", "probe.tip_d_mm is missing; a cone needs its tip diameter"),
         ('shape = "cone"', 'shape = "cylinder"', "probe.tip_d_mm = 2.0 differs from base_d_mm"),
@@ -223,6 +206,10 @@ def test_an_endless_integer(digits):
         ('"nano17"', '"nano43"', "known: gamma, mini40, nano17"),
         ('"si-12-0.12"', '"si-12"', "known: si-12-0.12"),
         ('"form-3"', '"form-5"', "did you mean 'form-"),
+        ('"form-3"', '"Form 3"', "print.printer: unknown 'Form 3'; did you mean 'form-3'?"),
+        ('"form-3"', '"form_4l"', "did you mean 'form-4l'?"),
+        ('"form-3"', '"\\u001b[2Jprusa"', "unknown '\\x1b[2Jprusa'; known: form-2"),
+        ('"elastic-50a"', '"Elastic50A"', "did you mean 'elastic-50a'?"),
         ('"form-3"', '"Form 3L"', "did you mean 'form-3l'? known: form-2"),
         ('"iso-9409-1-50-4-m6"', '"iso-50"', "did you mean 'iso-9409-1-50-4-m6'? known: iso-9409-1-100-6-m8"),
         ('"iso-9409-1-50-4-m6"', '"own"', "mount.flange is missing beside robot_flange = 'own'"),
@@ -403,14 +390,6 @@ def test_any_valid_design_reads_back(tables):
     assert parse_design(render_design(design)) == design
 
 
-@pytest.mark.parametrize("tared", [True, False])
-def test_a_boolean_is_written_as_toml(tmp_path, tared):
-    design = parse_design(PLAIN + f"[tolerances]\ntared = {str(tared).lower()}\n")
-    assert design.tolerances.tared is tared
-    write_design(render_design(design), tmp_path / "a.toml")
-    assert load_design(tmp_path / "a.toml") == design
-
-
 @given(
     shape=st.sampled_from(["cone", "cylinder"]),
     length=st.floats(5.0, 400.0),
@@ -444,36 +423,11 @@ def test_any_section_reads_back(section, share):
     assert kind in design.name  # so that it does not take the round probe's name
 
 
-def test_a_file_without_a_section_is_round():
-    assert parse_design(PLAIN).probe.cross_section.full_round
-    assert "section" not in PLAIN
-
-
 @given(st.lists(st.tuples(st.floats(0.01, 0.99), st.floats(0.3, 60.0)), max_size=6, unique_by=lambda p: p[0]))
 def test_any_profile_reads_back(inner):
     profile = [[0.0, 12.0], *([150.0 * f, d] for f, d in sorted(inner)), [150.0, 2.0]]
     probe = {"shape": "profile", "length_mm": 150.0, "base_d_mm": 12.0, "profile_mm": profile}
     design = check_design({"schema": 1, "name": "p", "probe": probe})
-    assert parse_design(render_design(design)) == design
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "message"),
-    [
-        ('"form-3"', '"Form 3"', "print.printer: unknown 'Form 3'; did you mean 'form-3'?"),
-        ('"form-3"', '"form_4l"', "did you mean 'form-4l'?"),
-        ('"elastic-50a"', '"Elastic50A"', "did you mean 'elastic-50a'?"),
-        ('"iso-9409-1-50-4-m6"', '"iso-9409-1-50"', "did you mean 'iso-9409-1-50-4-m6'?"),
-        ('"form-3"', '"\\u001b[2Jprusa"', "unknown '\\x1b[2Jprusa'; known: form-2"),
-    ],
-)
-def test_an_unknown_name_suggests_the_nearest(old, new, message):
-    assert message in problem(old, new)
-
-
-@pytest.mark.parametrize("name", ["large", "medium", "small"])
-def test_the_shipped_designs_read_back(name):
-    design = load_design(DESIGNS / f"{name}.toml")
     assert parse_design(render_design(design)) == design
 
 
@@ -541,12 +495,6 @@ def test_default_tip(base, tip):
     assert default_tip_d_mm(base) == tip
 
 
-@given(st.floats(0.3, 60.0))
-def test_a_default_tip_is_always_allowed(base):
-    design = new(None, shape="cone", length_mm=100.0, base_d_mm=base)
-    assert design.probe.tip_d_mm <= base
-
-
 def test_default_names_carry_the_parameters():
     assert default_name("cone", 150.0, 12.0, 2.0) == "cone-150x12x2"
     assert default_name("cylinder", 80.5, 6.0, None) == "cylinder-80.5x6"
@@ -581,7 +529,5 @@ def test_a_new_design_is_the_one_that_the_command_writes(tmp_path, monkeypatch):
         Path("designs/w.toml")
     )
 
-
-def test_a_new_design_refuses_a_value_out_of_range():
     with pytest.raises(InputError, match="length_mm"):
         probedesign.new(length_mm=-120.0, base_d_mm=10.0)

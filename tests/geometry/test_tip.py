@@ -7,7 +7,6 @@ import pytest
 
 from probedesign.core.errors import InputError
 from probedesign.design import Design, check_design, parse_design
-from probedesign.frozen_probe import freeze, load_model, write_frozen
 from probedesign.geometry.mass import flexible_part
 from probedesign.geometry.probe_geometry import DEVIATION_MM, filleted
 from probedesign.mount import build_geometry
@@ -172,14 +171,6 @@ def test_what_is_predicted_at_the_tip_is_a_touch_of_the_flank() -> None:
     # A milligram less at the tip bends it by a few parts in a thousand less.
     assert tip.moment_per_N_Nmm == pytest.approx(same.moment_per_N_Nmm, rel=0.005)
     assert tip.predicted_error_mm == pytest.approx(same.predicted_error_mm, rel=0.02)
-
-
-def test_a_frozen_probe_keeps_its_round_end(tmp_path) -> None:
-    model = build_probe(design_of()).model
-    write_frozen(model, tmp_path / "g.probe.json")
-    again = load_model(tmp_path / "g.probe.json")
-    assert again.rod.flank_end == model.rod.flank_end < model.rod.length
-    assert "rounded_from_m" not in freeze(build_probe(design_of("blunt")).model)["rod"]
 
 
 @pytest.mark.parametrize(("base_d", "tip_d", "radius"), [(12.0, 12.0, 1.5), (12.0, 2.0, 2.0), (12.0, 4.0, 0.5)])

@@ -122,15 +122,6 @@ def test_the_prediction_is_the_covariance_of_the_estimator(large, fraction, forc
     np.testing.assert_allclose(total, best.cov_linear_contact_base, atol=0.01 * np.abs(total).max())
 
 
-def test_no_cause_exceeds_the_total(prediction):
-    for c in (*prediction.conditions, *prediction.fused):
-        if c.result == "ok":
-            assert c.noise_error_mm <= c.predicted_error_mm
-            assert max(c.budget_mm.values()) <= c.predicted_error_mm
-            # They add up by construction; rounding of differences of covariances.
-            assert np.sqrt(sum(v**2 for v in c.budget_mm.values())) == pytest.approx(c.predicted_error_mm, rel=1e-6)
-
-
 def test_the_error_by_friction_is_largest_near_the_tip(large):
     """At 0.95 L most of the error is due to the free direction of the force, which the frictionless model ignores."""
     with_, without = (predict_touch(large.estimator().with_friction(mu), 0.95, 0.02, "+y") for mu in (0.6, 0.0))
