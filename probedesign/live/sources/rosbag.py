@@ -86,7 +86,7 @@ def select_channel(bag: Bag, types: Collection[str], topic: str = "") -> BagTopi
         hint = f"did you mean {near[0]}? " if near else ""
         raise InputError(f"{bag.path}: has no topic {topic!r}; {hint}topics of {wanted}: {listed}")
     if not fit:
-        raise InputError(f"{bag.path}: has no topic of {wanted}")
+        raise InputError(f"{bag.path}: has no topic of {wanted}" + (f" (damaged: {bag.damage})" if bag.damage else ""))
     if len(fit) > 1 and not topic:
         raise InputError(f"{bag.path}: has several topics of {wanted}: {listed}; select one with ?topic=")
     return channels[topic or fit[0]]
