@@ -22,9 +22,11 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from probedesign.core.errors import InputError, MissingDependencyError
 from probedesign.estimation.estimate import RESULTS, Estimate
+from probedesign.live.blocks import WrenchReading
+from probedesign.live.outputs.message_streams import FoxgloveServer, FoxgloveSink, parse_foxglove_address
 from probedesign.live.poses.base_poses import pose_from_matrix
 from probedesign.live.processing.chain import ProcessingOptions
-from probedesign.live.processing.estimates import bent_shape
+from probedesign.live.processing.estimates import EstimateUpdate, bent_shape
 from probedesign.live.recordings import schemas
 from probedesign.live.recordings.mcap_write import McapRecorder
 from probedesign.live.run import estimate_stream
@@ -238,8 +240,6 @@ def test_the_layout_names_existing_topics_and_fields():
 @pytest.fixture
 def server(model):
     pytest.importorskip("foxglove")
-    from probedesign.live.outputs.message_streams import FoxgloveSink
-
     log_lines = []
     with socket.socket() as trial:
         trial.bind(("127.0.0.1", 0))
@@ -326,8 +326,6 @@ def test_garbage_of_a_client_and_its_end_do_not_end_the_server(server, updates):
 
 def test_without_a_subscriber_nothing_is_encoded(model, updates, monkeypatch):
     pytest.importorskip("foxglove")
-    from probedesign.live.outputs.message_streams import FoxgloveServer
-
     server = FoxgloveServer([model], ("127.0.0.1", 0))
     monkeypatch.setattr(schemas, "stamped", lambda *_: pytest.fail("encoded"))
     server.on_samples(block(0, 7))
@@ -337,36 +335,22 @@ def test_without_a_subscriber_nothing_is_encoded(model, updates, monkeypatch):
 
 
 @pytest.mark.parametrize("text", ["a/b", "127.0.0.1:99999", "127.0.0.1:0", "a b:1", "::1:3", "x@y:1"])
-def test_what_is_no_address_is_refused(text):
-    from probedesign.live.outputs.message_streams import parse_foxglove_address
-
+def test_what_is_no_address_is_refused_and_addresses_have_defaults(text):
     with pytest.raises(InputError, match="--foxglove") as error:
         parse_foxglove_address(text)
     assert str(error.value).isprintable()
-
-
-def test_addresses_have_defaults():
-    from probedesign.live.outputs.message_streams import parse_foxglove_address
-
     assert parse_foxglove_address("") == ("127.0.0.1", 8765)
     assert parse_foxglove_address(":9000") == ("127.0.0.1", 9000)
     assert parse_foxglove_address("0.0.0.0") == ("0.0.0.0", 8765)
     assert parse_foxglove_address("[::1]:80") == ("::1", 80)
 
 
-def test_a_port_in_use_is_one_line(model, server):
-    from probedesign.live.outputs.message_streams import FoxgloveServer
-
+def test_a_port_in_use_or_a_missing_package_is_one_line(model, server, monkeypatch):
     port = int(server.url.rpartition(":")[2])
     for address in (("127.0.0.1", port), ("192.0.2.1", 8765)):  # the second is nobody's
         with pytest.raises(InputError, match=f"--foxglove {address[0]}:{address[1]}") as error:
             FoxgloveServer([model], address)
         assert "\n" not in str(error.value)
-
-
-def test_without_the_package_the_remedy_is_reported(model, monkeypatch):
-    from probedesign.live.outputs.message_streams import FoxgloveServer
-
     monkeypatch.setattr("probedesign.core.errors.find_spec", lambda name: None)
     with pytest.raises(MissingDependencyError, match=r"probedesign\[foxglove\]"):
         FoxgloveServer([model], ("127.0.0.1", 0))
@@ -374,9 +358,6 @@ def test_without_the_package_the_remedy_is_reported(model, monkeypatch):
 
 def test_the_estimate_of_a_fault_is_encoded(model, tmp_path):
     """Without a shape and without any number."""
-    from probedesign.live.blocks import WrenchReading
-    from probedesign.live.processing.estimates import EstimateUpdate
-
     reading = WrenchReading(0.0, np.full(6, np.nan), model.gravity_base, fault="saturated")
     found = write_estimate(tmp_path / "fault.mcap", model, EstimateUpdate(reading, Estimate("out_of_range")))
     assert found[schemas.STATE.name].result == list(RESULTS).index("out_of_range")

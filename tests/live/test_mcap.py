@@ -19,7 +19,7 @@ from rosbags.highlevel import AnyReader
 
 from probedesign.core.errors import InputError, MissingDependencyError
 from probedesign.estimation.estimate import Estimate
-from probedesign.live.blocks import Block, WrenchReading
+from probedesign.live.blocks import Block, WrenchReading, dropout_block
 from probedesign.live.outputs.recording import RecordingSink
 from probedesign.live.poses.base_poses import pose_from_matrix
 from probedesign.live.processing.chain import ProcessingOptions
@@ -52,10 +52,12 @@ def rows(answers) -> list[str]:
 # What is written is what was read
 
 
-def test_blocks_come_back_to_the_last_bit(whole, model):
+def test_blocks_come_back_to_the_last_bit_and_silence_too(whole, model, tmp_path):
     recorded, blocks = read(whole, model)
     assert len(blocks) == len(BLOCKS) and all(map(same, blocks, BLOCKS))
     assert (recorded.notes, recorded.missing(), recorded.frame) == ((), (), "sensor")
+    written = [block(0, 2), dropout_block(GRAVITY, "stale", 0), block(2, 2)]
+    assert all(map(same, read(write(tmp_path / "quiet.mcap", model, written), model)[1], written))
 
 
 times = st.floats(-4e9, 4e9)
@@ -101,12 +103,6 @@ def test_a_time_that_a_recording_cannot_hold_ends_it_with_a_line(model, tmp_path
     assert log_lines[1].startswith(f"recorded 5 readings to {path}; it ended early: time {time:.6g} s is outside")
     recorded, blocks = read(path, model)
     assert [same(each, block(0, 5)) for each in blocks] == [True] and not recorded.missing()
-
-
-def test_silence_is_recorded_too(model, tmp_path):
-    quiet = Block(np.empty(0), np.empty((0, 6)), GRAVITY, np.empty(0), "stale", 0)
-    written = [block(0, 2), quiet, block(2, 2)]
-    assert all(map(same, read(write(tmp_path / "quiet.mcap", model, written), model)[1], written))
 
 
 def test_a_replay_gives_the_same_rows_at_times_equal_to_a_nanosecond(estimator, tmp_path):
@@ -190,16 +186,13 @@ def test_rosbags_reads_it(model, tmp_path):
 # Whose it is
 
 
-def test_another_probe_is_refused_unless_allowed(whole, model):
+def test_another_probe_is_refused_unless_allowed_and_another_version_is_noted(whole, model):
     other = replace(model, fingerprint="0123456789ab")
     with pytest.raises(InputError, match=r"fingerprint .*not 0123456789ab; use its own frozen probe"):
         read(whole, other)
     recorded, blocks = read(whole, other, RecordingOptions(other_probe=True))
     assert len(blocks) == 4 and "not 0123456789ab" in recorded.notes[0]
     assert ReplaySource(other, whole, "other_probe=1").notes == recorded.notes
-
-
-def test_another_frozen_version_of_the_probe_is_noted(whole, model):
     assert "another frozen version" in read(whole, replace(model, averaging_samples=7))[0].notes[0]
 
 

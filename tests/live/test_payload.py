@@ -156,7 +156,7 @@ def test_a_channel_that_noise_does_not_explain_is_named(model):
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
-def test_a_missing_turn_is_named(axis, model):
+def test_a_missing_turn_and_too_few_orientations_are_named(axis, model):
     around = [Rotation.from_rotvec(angle * np.eye(3)[axis]).as_matrix() for angle in np.linspace(0.0, 5.0, 8)]
     start = SIX[0] if axis < 2 else SIX[2]
     rests = [Rest(REST * i, np.zeros(6), model.noise.std, start @ R) for i, R in enumerate(around)]
@@ -164,9 +164,6 @@ def test_a_missing_turn_is_named(axis, model):
         InputError, match=f"hardly changes along the base's {'xyz'[axis]} axis .* {'xyz'[axis]} points up"
     ):
         calibrate(model, rests, DOWN)
-
-
-def test_too_few_orientations_are_refused(model):
     rests = [Rest(REST * i, np.zeros(6), model.noise.std, R) for i, R in enumerate(SIX[[0, 2, 4, 0, 2, 4, 1]])]
     with pytest.raises(InputError, match=r"4 orientations are fewer than 6: rest 1\.3 s in 2 more"):
         calibrate(model, rests, DOWN)
@@ -213,13 +210,17 @@ def blocks(model, t, read):
         yield Block(t[part], read[part], model.gravity_base, np.full(len(t[part]), math.nan))
 
 
-def test_only_readings_at_rest_are_used(model):
-    t, read, poses = turning(model, SIX, np.random.default_rng(6))
+def collected(model, t, read, poses):
     lines = []
     collector = RestCollector(model, poses, lines.append)
     for block in blocks(model, t, read):
         collector.add(block)
-    rests = collector.finish()
+    return collector.finish(), lines
+
+
+def test_only_readings_at_rest_are_used(model):
+    t, read, poses = turning(model, SIX, np.random.default_rng(6))
+    rests, lines = collected(model, t, read, poses)
     assert len(rests) == len(SIX)
     for rest, R in zip(rests, SIX, strict=True):
         free = model.to_sensor(model.rod.solve(R.T @ DOWN).wrench_base, R.T @ DOWN)
@@ -233,11 +234,8 @@ def test_only_readings_at_rest_are_used(model):
 def test_a_rest_that_is_touched_halfway_is_refused(model):
     t, read, poses = turning(model, SIX[:2], np.random.default_rng(7))
     read[(t > 3.0) & (t < 4.0), 0] += 0.2
-    lines = []
-    collector = RestCollector(model, poses, lines.append)
-    for block in blocks(model, t, read):
-        collector.add(block)
-    assert len(collector.finish()) == 1
+    rests, lines = collected(model, t, read, poses)
+    assert len(rests) == 1
     assert any("Fx scatters" in line and "touched or moving?" in line for line in lines)
 
 

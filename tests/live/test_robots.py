@@ -12,7 +12,6 @@ from probedesign.core.errors import InputError, MissingDependencyError
 from probedesign.live.poses import robots
 from probedesign.live.poses.base_poses import TimedPose, pose_matrix
 from probedesign.live.poses.open import open_poses
-from probedesign.live.poses.robots import RobotPoses
 from tests.live.peers import until
 
 TURN = [0.3, -0.4, 1.2]  #: Rotation vector [rad].
@@ -69,8 +68,8 @@ def test_a_pose_and_its_time_are_of_one_state(rtde):
     assert pose_matrix(found[0])[:3, :3] == pytest.approx(expected, abs=1e-12)
 
 
-def test_a_lost_connection_is_reported_and_made_again(rtde):
-    poses = RobotPoses("ur://robot", lambda: connect_once(rtde))
+def test_a_lost_connection_is_reported_and_made_again_and_an_absent_one_is_one_line(rtde):
+    poses = open_poses("ur://robot")._listener
     until(lambda: poses.counts["taken"] >= 3)
     rtde.connected, rtde.reachable = False, False
     until(lambda: poses.counts["connections lost"] == 1)
@@ -82,20 +81,6 @@ def test_a_lost_connection_is_reported_and_made_again(rtde):
     assert {session for _, _, session in poses.pop()} == {2}  # its clock may have restarted
     poses.close()
     assert "1 connections lost" in poses.summary
-
-
-def connect_once(rtde):
-    robot = rtde("robot")
-
-    def read():
-        if not robot.isConnected():
-            raise ConnectionError("the connection is lost")
-        return TimedPose(robot.getTimestamp(), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
-
-    return read
-
-
-def test_an_absent_controller_is_one_line(rtde):
     rtde.reachable = False
     with pytest.raises(InputError, match="--pose ur://robot: Error: Could not connect"):
         open_poses("ur://robot")
