@@ -40,53 +40,75 @@ _HEAD = [("opcode", "u1"), ("length", "<u8"), ("channel", "<u2"), ("sequence", "
 _BEFORE_DATA = 22  #: Length of a message record before its data: channel, sequence number and two times [bytes].
 
 
-class McapWriter:
-    """Writes an MCAP file of CDR messages in chunks; each chunk is written completely or not at all."""
+JSON = "application/json"
+UNITS = {"unit_of_force": "N", "unit_of_moment": "N m", "unit_of_position": "m", "unit_in_json": "as names end"}
 
-    def __init__(self, file: AppendFile, profile: str, library: str) -> None:
-        self._file = file
-        self._schemas: dict[str, records.Schema] = {}
-        self._channels: list[records.Channel] = []
-        self._indexes: list[records.McapRecord] = []
-        self._counts: dict[int, int] = {}
-        self._chunks, self._span = 0, (2**63, 0)
-        self._begin_chunk()
-        file.write(MCAP_MAGIC)
-        self._write(records.Header(profile, library))
 
-    def attach(self, name: str, media_type: str, data: bytes) -> None:
-        """Add an attachment."""
-        now, offset = time.time_ns(), self._file.tell()
-        length = self._write(records.Attachment(now, now, name, media_type, data))
-        self._indexes.append(records.AttachmentIndex(offset, length, now, now, len(data), name, media_type))
+class McapRecorder(MessageEncoder):
+    """Records everything to MCAP, for ROS 2 tools and for replay; called from one thread (see `RecordingFile`).
 
-    def add_metadata(self, name: str, metadata: Mapping[str, str]) -> None:
-        """Add a metadata record."""
-        offset = self._file.tell()
-        length = self._write(records.Metadata(name=name, metadata=dict(metadata)))
-        self._indexes.append(records.MetadataIndex(offset, length, name))
+    Messages are in chunks, each of which is written completely or not at all.
+    """
 
-    def register(self, topic: str, type_name: str, definition: bytes, metadata: Mapping[str, str]) -> int:
-        """Register a channel; return its number. It is outside the chunks, which may be damaged."""
-        if type_name not in self._schemas:
-            number = len(self._schemas) + 1
-            self._schemas[type_name] = records.Schema(id=number, data=definition, encoding="ros2msg", name=type_name)
-            self._write(self._schemas[type_name])
-        number = len(self._channels) + 1
-        self._channels.append(records.Channel(number, topic, "cdr", dict(metadata), self._schemas[type_name].id))
-        self._write(self._channels[-1])
-        return number
-
-    def add(self, channel: int, logged: Nanoseconds, data: Bytes, sequence: int = 0) -> None:
-        """Add messages of equal length.
+    def __init__(
+        self, path: Path, *models: ProbeModel, force: bool = False, about: Mapping[str, str] | None = None
+    ) -> None:
+        """Create the file, with probe and metadata before the first message.
 
         Args:
-            channel: number of the channel.
-            logged: times of recording [ns], (n,).
-            data: the messages, (n,).
-            sequence: sequence number of the first; the others are consecutive.
+            path: path; its folder is created if necessary.
+            models: the probe on the sensor, or all of a run with several.
+            force: replace an existing file.
+            about: additional metadata: the source, the options.
+
+        Raises:
+            InputError: the file exists and `force` is not set, it is being written, or it cannot be written.
+            MissingDependencyError: the MCAP package is not installed.
         """
-        n, length = len(data), data.dtype.itemsize
+        require_mcap()
+        super().__init__(*models)
+        self._file, self._n_encoded, self.readings = AppendFile(path, force), 0, 0
+        self._schemas, self._channels = dict[str, records.Schema](), dict[str, records.Channel]()
+        self._indexes, self._counts = list[records.McapRecord](), dict[int, int]()
+        self._chunks, self._span = 0, (2**63, 0)
+        self._begin_chunk()
+        frozen = [freeze(model) for model in models]
+        self._file.write(MCAP_MAGIC)
+        self._write(records.Header("ros2", frozen[0]["written_by"]))
+        for model, content in zip(models, frozen, strict=True):
+            name, data = f"{model.name}.probe.json", (json.dumps(content, indent=2) + "\n").encode()
+            now, offset = time.time_ns(), self._file.tell()
+            length = self._write(records.Attachment(now, now, name, JSON, data))
+            self._indexes.append(records.AttachmentIndex(offset, length, now, now, len(data), name, JSON))
+        metadata = {
+            "probe": ", ".join(model.name for model in models),
+            "fingerprint": ", ".join(model.fingerprint for model in models),
+            "written_by": frozen[0]["written_by"],
+            "started": datetime.now(UTC).isoformat(timespec="seconds"),
+        }
+        self._add_metadata(METADATA_NAME, metadata | UNITS | dict(about or {}))
+        for name, policies in schemas.QOS_METADATA.items():
+            self._add_metadata(name, policies)
+        for topic in self.topics:  # outside the chunks, which may be damaged
+            if topic.type not in self._schemas:
+                schema = records.Schema(
+                    id=len(self._schemas) + 1, data=schemas.definition(topic.type), encoding="ros2msg", name=topic.type
+                )
+                self._schemas[topic.type] = schema
+                self._write(schema)
+            schema_id, number = self._schemas[topic.type].id, len(self._channels) + 1
+            self._channels[topic.path] = records.Channel(number, topic.path, "cdr", topic.metadata, schema_id)
+            self._write(self._channels[topic.path])
+        try:
+            self._file.flush()
+        except OSError:
+            self._file.discard()
+            raise
+
+    def add(self, topic: Topic, logged: Nanoseconds, data: Bytes, sequence: int = 0) -> None:
+        """Add messages of equal length to the chunk; see `MessageEncoder`."""
+        n, length, channel = len(data), data.dtype.itemsize, self._channels[topic.path].id
+        self._n_encoded += n if topic.name == schemas.RAW.name else 0
         laid = np.empty(n, np.dtype([*_HEAD, ("data", f"V{length}")]))
         laid["opcode"], laid["length"], laid["channel"] = Opcode.MESSAGE, _BEFORE_DATA + length, channel
         laid["sequence"] = np.arange(sequence, sequence + n) % 2**32
@@ -98,34 +120,50 @@ class McapWriter:
         self._chunk.append(laid.tobytes())
         self._pending += laid.nbytes
 
-    def flush(self) -> None:
-        """End the chunk and pass it to the operating system.
+    def on_clock(self, encoder: ProbeEncoder) -> None:
+        """Write the offset of the clocks, with which a replay restores the source's clock of a header exactly.
 
-        Raises:
-            OSError: it cannot be written; the file is unchanged.
+        The static transform follows, so that its time is within that of the recording.
         """
+        of = {"probe": encoder.probe} if encoder.probe else {}
+        self._add_metadata(CLOCK_NAME, {OFFSET_KEY: str(encoder.clock_offset)} | of)
+        encoder.encode_static()
+
+    @property
+    def size(self) -> int:
+        """Length of the file, with what waits for the next flush [bytes]."""
+        return self._file.tell()
+
+    def flush(self) -> None:
+        """End the chunk and pass it to the operating system; raises OSError, which leaves the file unchanged."""
+        self.encode()
         if self._index:
             self._write_chunk()
             self._begin_chunk()
         self._file.flush()
+        self.readings = self._n_encoded
 
-    def finish(self) -> None:
-        """Write the summary and the end of the file."""
-        self.flush()
-        self._write(records.DataEnd(0))
-        start = self._file.tell()
-        attachments, metadata = (sum(isinstance(index, kind) for index in self._indexes)
-                                 for kind in (records.AttachmentIndex, records.MetadataIndex))  # fmt: skip
-        statistics = records.Statistics(
-            attachments, len(self._channels), self._counts, self._chunks, sum(self._counts.values()), self._span[1],
-            min(self._span), metadata, len(self._schemas),
-        )  # fmt: skip
-        summary = b"".join(map(_bytes, [*self._schemas.values(), *self._channels, statistics, *self._indexes]))
-        footer = RECORD_PREFIX.pack(Opcode.FOOTER, 20) + struct.pack("<QQ", start, 0)
-        self._file.write(summary)
-        self._write(records.Footer(start, 0, zlib.crc32(footer, zlib.crc32(summary))))
-        self._file.write(MCAP_MAGIC)
-        self._file.flush()
+    def close(self) -> None:
+        """Write the summary and close the file."""
+        try:
+            self.flush()
+            self._write(records.DataEnd(0))
+            start = self._file.tell()
+            attachments, metadata = (sum(isinstance(index, kind) for index in self._indexes)
+                                     for kind in (records.AttachmentIndex, records.MetadataIndex))  # fmt: skip
+            statistics = records.Statistics(
+                attachments, len(self._channels), self._counts, self._chunks, sum(self._counts.values()),
+                self._span[1], min(self._span), metadata, len(self._schemas),
+            )  # fmt: skip
+            rows = [*self._schemas.values(), *self._channels.values(), statistics, *self._indexes]
+            summary = b"".join(map(_bytes, rows))
+            footer = RECORD_PREFIX.pack(Opcode.FOOTER, 20) + struct.pack("<QQ", start, 0)
+            self._file.write(summary)
+            self._write(records.Footer(start, 0, zlib.crc32(footer, zlib.crc32(summary))))
+            self._file.write(MCAP_MAGIC)
+            self._file.flush()
+        finally:
+            self._file.close()
 
     def _begin_chunk(self) -> None:
         self._chunk: list[bytes] = []
@@ -151,6 +189,11 @@ class McapWriter:
         self._chunks += 1
         self._span = min(self._span[0], first), max(self._span[1], last)
 
+    def _add_metadata(self, name: str, metadata: Mapping[str, str]) -> None:
+        offset = self._file.tell()
+        length = self._write(records.Metadata(name=name, metadata=dict(metadata)))
+        self._indexes.append(records.MetadataIndex(offset, length, name))
+
     def _write(self, record: records.McapRecord) -> int:
         return self._file.write(_bytes(record))
 
@@ -160,87 +203,3 @@ def _bytes(record: records.McapRecord) -> bytes:
     record.write(builder)
     written: bytes = builder.end()
     return written
-
-
-PROFILE = "ros2"
-JSON = "application/json"
-UNITS = {"unit_of_force": "N", "unit_of_moment": "N m", "unit_of_position": "m", "unit_in_json": "as names end"}
-
-
-class McapRecorder(MessageEncoder):
-    """Records everything to MCAP, for ROS 2 tools and for replay; called from one thread (see `RecordingFile`)."""
-
-    def __init__(
-        self, path: Path, *models: ProbeModel, force: bool = False, about: Mapping[str, str] | None = None
-    ) -> None:
-        """Create the file, with probe and metadata before the first message.
-
-        Args:
-            path: path; its folder is created if necessary.
-            models: the probe on the sensor, or all of a run with several.
-            force: replace an existing file.
-            about: additional metadata: the source, the options.
-
-        Raises:
-            InputError: the file exists and `force` is not set, it is being written, or it cannot be written.
-            MissingDependencyError: the MCAP package is not installed.
-        """
-        require_mcap()
-        super().__init__(*models)
-        self._file = AppendFile(path, force)
-        self._n_encoded, self.readings = 0, 0
-        frozen = [freeze(model) for model in models]
-        self._writer = McapWriter(self._file, PROFILE, frozen[0]["written_by"])
-        for model, content in zip(models, frozen, strict=True):
-            self._writer.attach(f"{model.name}.probe.json", JSON, (json.dumps(content, indent=2) + "\n").encode())
-        metadata = {
-            "probe": ", ".join(model.name for model in models),
-            "fingerprint": ", ".join(model.fingerprint for model in models),
-            "written_by": frozen[0]["written_by"],
-        }
-        started = {"started": datetime.now(UTC).isoformat(timespec="seconds")}
-        self._writer.add_metadata(METADATA_NAME, metadata | started | UNITS | dict(about or {}))
-        for name, policies in schemas.QOS_METADATA.items():
-            self._writer.add_metadata(name, policies)
-        self._channels = {
-            topic.path: self._writer.register(topic.path, topic.type, schemas.definition(topic.type), topic.metadata)
-            for topic in self.topics
-        }
-        try:
-            self._file.flush()
-        except OSError:
-            self._file.discard()
-            raise
-
-    def add(self, topic: Topic, logged: Nanoseconds, data: Bytes, sequence: int = 0) -> None:
-        """Add messages to the chunk; see `MessageEncoder`."""
-        self._n_encoded += len(data) if topic.name == schemas.RAW.name else 0
-        self._writer.add(self._channels[topic.path], logged, data, sequence)
-
-    def on_clock(self, encoder: ProbeEncoder) -> None:
-        """Write the offset of the clocks, with which a replay restores the source's clock of a header exactly.
-
-        The static transform follows, so that its time is within that of the recording.
-        """
-        of = {"probe": encoder.probe} if encoder.probe else {}
-        self._writer.add_metadata(CLOCK_NAME, {OFFSET_KEY: str(encoder.clock_offset)} | of)
-        encoder.encode_static()
-
-    @property
-    def size(self) -> int:
-        """Length of the file, with what waits for the next flush [bytes]."""
-        return self._file.tell()
-
-    def flush(self) -> None:
-        """End the chunk and pass it to the operating system."""
-        self.encode()
-        self._writer.flush()
-        self.readings = self._n_encoded
-
-    def close(self) -> None:
-        """Write the summary and close the file."""
-        try:
-            self.flush()
-            self._writer.finish()
-        finally:
-            self._file.close()
