@@ -224,7 +224,7 @@ def _run(
     from probedesign.live.outputs.guard import Guard, GuardChannel, GuardedSource
     from probedesign.live.outputs.sinks import LogFile, ProbeSink, SinkGroup, StderrSink
     from probedesign.live.poses.open import open_poses
-    from probedesign.live.processing.commands import CommandQueue, SharedCommands, open_inputs
+    from probedesign.live.processing.commands import CommandQueue, DatagramInput, KeyInput, SharedCommands
     from probedesign.live.run import merged, warm_up
     from probedesign.live.sources.source import open_source
 
@@ -255,8 +255,10 @@ def _run(
                 part.add(watching)
                 queue.register("reset", watching.reset)
         outputs.connect(sinks, commands, estimators, sources, publisher)
-        for command_input in open_inputs(commands, sinks.log, control, keys=outputs.terminal):
-            inputs.enter_context(closing(command_input))
+        if control is not None:
+            inputs.enter_context(closing(DatagramInput(control, commands, sinks.log)))
+        if outputs.terminal:
+            inputs.enter_context(closing(KeyInput(commands, sinks.log)))
         streams = [
             pipeline.live(estimator, source, processing, part.log, part, queue, known)
             for (estimator, _, part), source, known, queue in zip(runs, readings, poses, queues, strict=True)

@@ -8,7 +8,7 @@ import os
 import select
 import sys
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from queue import Empty, SimpleQueue
 from typing import Any, Literal, NamedTuple, get_args
@@ -217,13 +217,3 @@ class DatagramInput(Listener[None]):
         super().reject(kind, line)
         for message in self.pop_messages():
             self._log(message)
-
-
-def open_inputs(
-    commands: CommandQueue, log: Log, control: str | None, keys: bool
-) -> Iterator[KeyInput | DatagramInput]:
-    """Yield the selected inputs, each to be closed: datagrams at the address `control`, and keys of the terminal."""
-    if control is not None:
-        yield DatagramInput(control, commands, log)
-    if keys:
-        yield KeyInput(commands, log)

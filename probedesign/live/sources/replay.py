@@ -143,20 +143,28 @@ def _open_native(bag: Bag, model: ProbeModel, options: RecordingOptions) -> Open
     elif probe.get("checksum") != freeze(model)["checksum"]:
         notes += ("recorded with another frozen version of this probe (material, sensor): estimates may differ",)
     metadata = bag.metadata[METADATA_NAME]
-    blocks = NativeRecording(bag, raw, states)
+    dropped = [0]
 
     def missing() -> tuple[str, ...]:
         lines = []
-        if blocks.n_dropped:
+        if dropped[0]:
             why = "lie in damaged parts" if bag.damage else "were dropped by the recorder: the disk was too slow"
-            lines.append(f"{blocks.n_dropped} readings {why}")
+            lines.append(f"{dropped[0]} readings {why}")
         if bag.damage:
             lines.append(f"incomplete: {bag.damage}")
         return tuple(lines)
 
     source = one_line(metadata.get("source", ""))
     description = f"recorded {one_line(metadata.get('started', ''))} from {source}"
-    return OpenRecording(bag.path, description, "sensor", notes, lambda: _checked(bag.path, blocks), missing, source)
+    return OpenRecording(
+        bag.path,
+        description,
+        "sensor",
+        notes,
+        lambda: _checked(bag.path, _native_blocks(bag, raw, states, dropped)),
+        missing,
+        source,
+    )
 
 
 def _open_foreign(bag: Bag, model: ProbeModel, options: RecordingOptions) -> OpenRecording:
@@ -216,47 +224,29 @@ MAX_READINGS = 1 << 40  #: More readings than any recording has: five years of t
 MAX_BLOCK = 1_000_000  #: Maximum number of readings in a block: 2 minutes of the fastest source.
 
 
-class NativeRecording:
-    """The blocks of our own recording, their times to the nanosecond.
-
-    Attributes:
-        n_dropped: number of readings that the recorder dropped, as far as it was read.
-    """
-
-    def __init__(self, bag: Bag, raw: str, states: str) -> None:
-        """Read the blocks of a bag, with the names of its topics `RAW` and `BLOCK`."""
-        self._bag, self._raw, self._states = bag, raw, states
-        self.n_dropped = 0
-
-    def __iter__(self) -> Iterator[Block]:
-        """Yield the blocks in order.
-
-        Raises:
-            InputError: the file is not a valid recording of ours.
-        """
-        raw: list[Message] = []
-        self.n_dropped = 0
-        n_read, n_gaps = 0, 0
-        for message in self._bag.messages({self._raw, self._states}):
-            if message.topic == self._raw:
-                raw.append(message)
-                if len(raw) > MAX_BLOCK:
-                    raise InputError(f"{self._bag.path}: {len(raw)} readings without a {self._states}")
+def _native_blocks(bag: Bag, raw_topic: str, block_topic: str, dropped: list[int]) -> Iterator[Block]:
+    """Yield the blocks of our own recording; the number of readings that the recorder dropped is put into `dropped`."""
+    raw, n_read, n_gaps, dropped[:] = list[Message](), 0, 0, [0]
+    for message in bag.messages({raw_topic, block_topic}):
+        if message.topic == raw_topic:
+            raw.append(message)
+            if len(raw) > MAX_BLOCK:
+                raise InputError(f"{bag.path}: {len(raw)} readings without a {block_topic}")
+            continue
+        try:
+            first, block = _native_block(raw, rosbag.clock_offset(bag, raw_topic), read_text(message.data))
+        except (ValueError, KeyError, TypeError, RecursionError, OverflowError) as error:
+            if bag.damage:  # the rest of this block lies in the damaged part
+                raw = []
                 continue
-            try:
-                first, block = _native_block(raw, rosbag.clock_offset(self._bag, self._raw), read_text(message.data))
-            except (ValueError, KeyError, TypeError, RecursionError, OverflowError) as error:
-                if self._bag.damage:  # the rest of this block lies in the damaged part
-                    raw = []
-                    continue
-                raise InputError(f"{self._bag.path}: a {self._states} after {n_read} readings: {error}") from None
-            if not n_read + self.n_dropped <= first < MAX_READINGS:
-                raise InputError(f"{self._bag.path}: a {self._states} counts {quoted(first)} readings before it")
-            if first != n_read + self.n_dropped:  # averages must not span dropped readings
-                self.n_dropped, n_gaps = first - n_read, n_gaps + 1
-            n_read, raw = n_read + len(block), []
-            # A new stretch after dropped readings; 2³² keeps it clear of the source's stretches.
-            yield replace(block, stretch=block.stretch + (n_gaps << 32)) if n_gaps else block
+            raise InputError(f"{bag.path}: a {block_topic} after {n_read} readings: {error}") from None
+        if not n_read + dropped[0] <= first < MAX_READINGS:
+            raise InputError(f"{bag.path}: a {block_topic} counts {quoted(first)} readings before it")
+        if first != n_read + dropped[0]:  # averages must not span dropped readings
+            dropped[0], n_gaps = first - n_read, n_gaps + 1
+        n_read, raw = n_read + len(block), []
+        # A new stretch after dropped readings; 2³² keeps it clear of the source's stretches.
+        yield replace(block, stretch=block.stretch + (n_gaps << 32)) if n_gaps else block
 
 
 def _native_block(raw: list[Message], clock_offset: int, text: str) -> tuple[int, Block]:
