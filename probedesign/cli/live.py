@@ -123,7 +123,6 @@ def live(
     from probedesign import pipeline
     from probedesign.live.datagrams import parse_listen_address
     from probedesign.live.outputs.guard import Limits
-    from probedesign.live.outputs.message_streams import parse_foxglove_address
     from probedesign.live.outputs.options import OutputOptions
     from probedesign.live.processing.chain import ProcessingOptions
     from probedesign.live.processing.tare import parse_tare
@@ -155,6 +154,11 @@ def live(
         "pose_latency_ms": pose_latency_ms,
         "gravity_world": gravity_world,
     }
+    foxglove_address = None
+    if foxglove is not False:
+        from probedesign.live.outputs.message_streams import parse_foxglove_address
+
+        foxglove_address = parse_foxglove_address("" if foxglove is True else foxglove)
     outputs = OutputOptions(
         record=record,
         force=force,
@@ -164,7 +168,7 @@ def live(
         parts_folders=[each if each.is_dir() else each.parent for each in bundles],
         metadata={name: _setting_text(value) for name, value in settings.items()},
         split=(split_mb, split_minutes),
-        foxglove=None if foxglove is False else parse_foxglove_address("" if foxglove is True else foxglove),
+        foxglove=foxglove_address,
         guard=guard,
         limits=Limits(limit_force_N, limit_moment_Nm),
         open_browser=open_ and _is_terminal(),

@@ -12,13 +12,10 @@ from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.model import ProbeModel
 from probedesign.live import Log
 from probedesign.live.outputs.guard import Limits
-from probedesign.live.outputs.message_streams import SCHEME, RosPublisher
 from probedesign.live.outputs.recording import RecordingSink, check_suffix
 from probedesign.live.outputs.sinks import SinkGroup, UdpPublisher
 from probedesign.live.processing.commands import CommandQueue
 from probedesign.live.sources.source import Source
-from probedesign.live.view.sinks import BrowserView, TerminalView
-from probedesign.live.view.state import ViewState
 
 
 @dataclass(frozen=True)
@@ -63,7 +60,9 @@ class OutputOptions:
 
     def publisher(self, models: Sequence[ProbeModel], log: Log) -> UdpPublisher | None:
         """Return the publisher; separate from the other sinks because an invalid address is reported first."""
-        if self.publish is not None and self.publish.startswith(SCHEME):
+        if self.publish is not None and self.publish.startswith("ros2:"):
+            from probedesign.live.outputs.message_streams import RosPublisher
+
             return RosPublisher(self.publish, models, log)
         return None if self.publish is None else UdpPublisher(self.publish, log)
 
@@ -91,20 +90,33 @@ class OutputOptions:
             from probedesign.live.outputs.message_streams import FoxgloveSink
 
             sinks.add(FoxgloveSink(models, self.foxglove, sinks.log))
+        if self.page is not None or self.terminal:
+            self._connect_views(sinks, commands, estimators, sources, recordings)
+        if self.record is not None:  # after the views, which show recording by its events
+            sinks.log(recordings.start())
+
+    def _connect_views(
+        self,
+        sinks: SinkGroup,
+        commands: CommandQueue,
+        estimators: Mapping[str, Estimator],
+        sources: Sequence[Source],
+        recordings: RecordingSink,
+    ) -> None:
+        from probedesign.live.view.sinks import BrowserView, TerminalView
+        from probedesign.live.view.state import ViewState
+
         states = {
             name: ViewState(partial(getattr, source, "counts", {}), recording=recordings.state, name=name)
             for name, source in zip(estimators, sources, strict=True)
         }
         if self.page is not None:
-            folders = zip(estimators.values(), self.parts_folders, strict=True)
-            sinks.add(
-                BrowserView(
-                    states, [*folders], commands, sinks.log, *self.page, open_browser=self.open_browser,
-                    limits=(self.limits.force, self.limits.moment),
-                )
+            folders = [*zip(estimators.values(), self.parts_folders, strict=True)]
+            view = BrowserView(
+                states, folders, commands, sinks.log, *self.page, open_browser=self.open_browser,
+                limits=(self.limits.force, self.limits.moment),
             )  # fmt: skip
+            sinks.add(view)
         if self.terminal:
-            titles = [f"{model.name} {model.fingerprint}" for model in models]
+            titles = [f"{each.model.name} {each.model.fingerprint}" for each in estimators.values()]
             sinks.add(TerminalView(states, titles))
-        if self.record is not None:  # after the views, which show recording by its events
-            sinks.log(recordings.start())
