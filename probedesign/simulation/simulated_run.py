@@ -399,10 +399,11 @@ def write_run(
     rng: np.random.Generator,
     force: bool = False,
     recording: str = FILES[0],
+    source: str = SOURCE,
 ) -> tuple[Path, ...]:
     """Write the recording (.mcap or .csv) and the poses, which `explore` reads, and the ground truth; return the paths.
 
-    `rng` draws the noise of the sensor.
+    `rng` draws the noise of the sensor; `source` is what the recording states as its origin.
 
     Raises:
         InputError: files exist and `force` is not set, or they cannot be written.
@@ -410,7 +411,7 @@ def write_run(
     paths = check_run_files(folder, force, recording)
     table = recording.endswith(".csv")
     file = (
-        CsvRecorder(paths[0], force) if table else McapRecorder(paths[0], model, force=force, about={"source": SOURCE})
+        CsvRecorder(paths[0], force) if table else McapRecorder(paths[0], model, force=force, about={"source": source})
     )
     try:
         flushed = 0.0
