@@ -127,7 +127,10 @@ def test_a_majority_of_outliers_is_always_too_many() -> None:
 
 @pytest.fixture(scope="module")
 def data(cameras: Campaign, model: ProbeModel) -> IdentificationData:
-    return data_of(cameras, model, 0.0)
+    """The hangs and half of the touches, whose markers are enough."""
+    data = data_of(cameras, model, 0.0)
+    touches = [t.name for t in data.tests if t.touched][::2]
+    return replace(data, tests=tuple(t for t in data.tests if t.free or t.name in touches))
 
 
 def _sag_halved(data: IdentificationData) -> IdentificationData:
@@ -163,8 +166,9 @@ def test_a_gross_error_with_full_weight_is_rejected(
     assert label in found.why or any(label in cause.words for cause in found.likely_causes)
 
 
-def test_a_contradiction_that_moves_no_requested_number_is_a_warning(data: IdentificationData) -> None:
-    """The markers show where the base is, so E is as without the error."""
+def test_a_contradiction_that_moves_no_requested_number_is_a_warning(cameras: Campaign, model: ProbeModel) -> None:
+    """The markers of all touches show where the base is, so E is as without the error."""
+    data = data_of(cameras, model, 0.0)
     clean, wrong = identify(data, ("E",)).of("E"), _base_moved(data)
     found = identify(wrong, ("E",))
     E = found.of("E")
