@@ -92,7 +92,7 @@ def _live() -> Iterator[str]:
     """Run the live view of the demo's probe on a simulated source."""
     probe = next(Path.cwd().rglob("*.probe.json"))
     program = "import sys; from probedesign.cli.main import main; sys.exit(main())"
-    command = [sys.executable, "-c", program, "live", str(probe), "--source", "sim:", "--view"]
+    command = [sys.executable, "-c", program, "live", str(probe), "--source", "sim:?seconds=600", "--view"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as running:
         assert running.stdout is not None
         try:

@@ -12,6 +12,7 @@ import numpy as np
 from probedesign.cad.inspection import inspection_sheets
 from probedesign.cad.model import CadModel, CadPart
 from probedesign.cad.render import (
+    PALE,
     OrthographicCamera,
     RenderBody,
     fit_view,
@@ -256,11 +257,12 @@ def step_pictures(bodies: Bodies, steps: Sequence[AssemblyStep], seat: float) ->
     for step in steps:
         onto = [move.onto for move in step.moves if move.onto not in step.parts]
         before = [name for name in (onto if step.on_bench else there) if name not in step.parts]
-        shown = {name: bodies[name].faded() for name in dict.fromkeys(before)}
+        shown = {name: replace(bodies[name], opacity=PALE) for name in dict.fromkeys(before)}
         shown |= {name: bodies[name] for name in step.parts}
         exploded = exploded_bodies(shown, step.moves, seat)
+        drawn = list(exploded.values())
         below = max(body.span[1] for name, body in exploded.items() if name != "probe") + ABOVE
-        pictures.append(render_png(list(exploded.values()), STEP_SIZE, FROM_ABOVE, below))
+        pictures.append(png_bytes(render_bodies(drawn, fit_view(drawn, FROM_ABOVE, STEP_SIZE, below))[0]))
         if not step.on_bench:
             there += [name for name in step.parts if name not in there]
     return pictures
@@ -275,6 +277,7 @@ def exploded_svg(bodies: Bodies, bill: Sequence[BillItem], title: str, seat: flo
     pixels, owners = render_bodies(list(exploded.values()), view)
     width, height = view.size
     svg = Canvas(width + 2 * LABEL_WIDTH, height, unit="px", title=title)
+    svg.add("rect", width=svg.width, height=height, fill="#fff")  # of the file; a dark page removes it
     picture = base64.b64encode(png_bytes(pixels)).decode()
     svg.add("image", x=LABEL_WIDTH, y=0.0, width=width, height=height, href=f"data:image/png;base64,{picture}")
 
@@ -340,13 +343,17 @@ table { width: 100% } td label { white-space: nowrap }
 th, td { text-align: left; padding: 0.8mm 2mm; vertical-align: top; white-space: normal }
 .n { text-align: right } .n, td label { white-space: nowrap }
 .step label { display: block; margin: 1mm 0 0 5mm; text-indent: -5mm } .step label b { margin: 0 }
-.exploded { break-inside: avoid } .exploded svg { display: block; background: #fff;
+.exploded { break-inside: avoid } .exploded svg { display: block;
   width: auto; height: auto; max-width: 100%; max-height: 195mm; margin: 0 auto }
 .steps { display: grid; grid-template-columns: repeat(auto-fill, minmax(min(75mm, 100%), 1fr)); gap: 4mm }
 .step { border: 0.4pt solid var(--rule); padding: 3mm; break-inside: avoid }
-.step img { display: block; background: #fff; height: 55mm; max-width: 100%; object-fit: contain; margin: 0 auto 2mm }
+.step img { display: block; height: 55mm; max-width: 100%; object-fit: contain; margin: 0 auto 2mm }
 .step b { margin-right: 1.5mm }
 ul { margin: 1mm 0; padding-left: 5mm } .tools { columns: 2 75mm } li { break-inside: avoid }
+@media screen and (prefers-color-scheme: dark) {
+  .exploded rect { display: none } .exploded :is(text, path, circle) { filter: invert(1) hue-rotate(180deg) }
+  .exploded image, .step img { filter: brightness(1.35) }
+}
 @media print { body { font-size: 9.5pt } table { font-size: 8.5pt } .step { padding: 2mm } .step img { height: 40mm } }
 """
 

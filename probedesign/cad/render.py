@@ -29,15 +29,15 @@ AMBIENT, DIRECT = 0.58, 0.50
 
 @njit(cache=True, error_model="numpy")
 def _shade(slopes, colours, depth, owner, triangle, fine, normal, sums):  # type: ignore[no-untyped-def]  # noqa: C901
-    """Add the brightness of each sample to its pixel: shaded, an outline, or white paper.
+    """Add the colour and opacity of each sample to its pixel: shaded, an outline, or nothing.
 
     Args:
         slopes: normal of each triangle at (0, 0) and its slopes along x and along y, (m, 3, 3).
-        colours: of each body, (n, 3).
+        colours: of each body, with its opacity, (n, 4).
         depth, owner, triangle: of each sample, from `_fill`, (height, width).
         fine: samples along each side of a pixel.
         normal: of each sample, (height, width, 3); changed in place.
-        sums: of each pixel, (height / fine, width / fine, 3); changed in place.
+        sums: of each pixel, (height / fine, width / fine, 4); changed in place.
     """
     height, width = owner.shape
     for y in range(height):
@@ -69,11 +69,11 @@ def _shade(slopes, colours, depth, owner, triangle, fine, normal, sums):  # type
                 for k in range(3):
                     light += DIRECT * normal[y, x, k] * LIGHT[k]
                 light = max(light, AMBIENT)
-            for k in range(3):
-                value = INK
-                if not ink:
-                    value = 1.0 if who == BACKGROUND else min(light * colours[who, k], 1.0)
-                sums[y // fine, x // fine, k] += value
+            if ink or who != BACKGROUND:
+                alpha = 1.0 if ink else colours[who, 3]
+                for k in range(3):
+                    sums[y // fine, x // fine, k] += alpha * (INK if ink else min(light * colours[who, k], 1.0))
+                sums[y // fine, x // fine, 3] += alpha
 
 
 @njit(cache=True, error_model="numpy")
@@ -132,7 +132,7 @@ def _planes(corners: Array) -> tuple[Array, NDArray[np.int64], NDArray[np.int64]
 SMOOTH_RAD = 0.5  #: Facets that meet at a smaller angle are shaded as one round face.
 SAMPLES = 2  #: Samples along each side of a pixel.
 MARGIN = 0.03  #: Free margin, as a share of the picture's larger side.
-PALE = 0.3  #: Share of its colour that a part mounted earlier keeps.
+PALE = 0.3  #: Opacity of a part mounted earlier.
 
 
 @dataclass(frozen=True)
@@ -142,15 +142,11 @@ class RenderBody:
     corners: Array  #: of its triangles in the sensor frame [mm], (m, 3, 3).
     normals: Array  #: outward unit normals there, (m, 3, 3).
     colour: tuple[float, float, float]  #: red, green, blue 0 ... 1.
+    opacity: float = 1.0  #: 0 ... 1; what is behind the body is hidden all the same.
 
     def translated(self, height: float) -> "RenderBody":
         """Return the body moved along z [mm]."""
         return replace(self, corners=self.corners + np.array([0.0, 0.0, height]))
-
-    def faded(self) -> "RenderBody":
-        """Return the body in a paler colour."""
-        red, green, blue = (1.0 - PALE * (1.0 - c) for c in self.colour)
-        return replace(self, colour=(red, green, blue))
 
     @property
     def span(self) -> tuple[float, float]:
@@ -225,15 +221,16 @@ def fit_view(
 
 
 def render_bodies(bodies: Sequence[RenderBody], view: ImageView) -> tuple[NDArray[np.uint8], NDArray[np.int16]]:
-    """Render the bodies on white.
+    """Render the bodies on a transparent ground.
 
     Returns:
-        Red, green, blue, (height, width, 3), and the index of each pixel's body or `BACKGROUND`, (height, width).
+        Red, green, blue and opacity, (height, width, 4), and the index of each pixel's body or `BACKGROUND`,
+        (height, width).
     """
     corners = view.pixels(np.concatenate([body.corners for body in bodies]))
     normals = np.concatenate([body.normals for body in bodies]) @ view.axes.T
     owners = np.repeat(np.arange(len(bodies)), [len(body.corners) for body in bodies])
-    colours = np.array([body.colour for body in bodies])
+    colours = np.array([(*body.colour, body.opacity) for body in bodies])
     width, height = view.size[0] * SAMPLES, view.size[1] * SAMPLES
     depth = np.full((height, width), -np.inf, dtype=np.float32)
     owner = np.full((height, width), BACKGROUND, dtype=np.int16)
@@ -244,25 +241,24 @@ def render_bodies(bodies: Sequence[RenderBody], view: ImageView) -> tuple[NDArra
     slopes = np.einsum("tij,tik->tjk", planes[:, :2], normals[:, 1:] - normals[:, :1])
     slopes[:, 0] += normals[:, 0]
     normal = np.zeros((height, width, 3), dtype=np.float32)
-    sums = np.zeros((view.size[1], view.size[0], 3), dtype=np.float32)
+    sums = np.zeros((view.size[1], view.size[0], 4), dtype=np.float32)
     _shade(slopes, colours, depth, owner, triangle, SAMPLES, normal, sums)
+    sums[..., :3] /= np.where(sums[..., 3:] > 0.0, sums[..., 3:], 1.0)
+    sums[..., 3] /= SAMPLES**2
     middle = SAMPLES // 2
-    return np.round(255.0 / SAMPLES**2 * sums).astype(np.uint8), owner[middle::SAMPLES, middle::SAMPLES]
+    return np.round(255.0 * sums).astype(np.uint8), owner[middle::SAMPLES, middle::SAMPLES]
 
 
-def png_bytes(pixels: NDArray[np.uint8], colours: int = 128) -> bytes:
-    """Return a PNG with a palette: 128 colours suffice for shaded parts and make the file a third as large."""
+def png_bytes(pixels: NDArray[np.uint8], paper: bool = False) -> bytes:
+    """Return a PNG with a palette, on white paper or transparent: 255 colours suffice for shaded parts and make the
+    file a third as large."""
     picture, file = Image.fromarray(pixels), io.BytesIO()
-    picture.quantize(colours, dither=Image.Dither.NONE).save(file, "png", optimize=True)
+    if paper:
+        picture = Image.alpha_composite(Image.new("RGBA", picture.size, "white"), picture).convert("RGB")
+    picture.quantize(255, dither=Image.Dither.NONE).save(file, "png", optimize=True)
     return file.getvalue()
 
 
-def render_png(
-    bodies: Sequence[RenderBody],
-    largest: tuple[int, int],
-    camera: OrthographicCamera = OrthographicCamera(),
-    below: float = np.inf,
-) -> bytes:
-    """Return a PNG of the bodies; the arguments are those of `fit_view`."""
-    pixels, _ = render_bodies(bodies, fit_view(bodies, camera, largest, below))
-    return png_bytes(pixels)
+def render_png(bodies: Sequence[RenderBody], largest: tuple[int, int]) -> bytes:
+    """Return a PNG of the bodies on white paper, no larger than a width and height."""
+    return png_bytes(render_bodies(bodies, fit_view(bodies, OrthographicCamera(), largest))[0], paper=True)

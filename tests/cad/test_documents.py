@@ -160,7 +160,7 @@ def test_the_nearer_body_hides_the_farther_one() -> None:
         pixels, owners = render_bodies(bodies, view)
         middle = tuple(n // 2 for n in owners.shape)
         assert bodies[owners[middle]] is near
-        assert (pixels[0, 0] == 255).all() and (pixels[middle] < 120).all()
+        assert (pixels[0, 0] == 0).all() and (pixels[middle][:3] < 120).all() and pixels[middle][3] == 255
 
 
 @pytest.mark.parametrize("name", [*PRINTED, "assembly"])
