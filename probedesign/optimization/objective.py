@@ -131,7 +131,8 @@ class Task:
     def text(self) -> str:
         """Return the description in one line, for users."""
         over = "RMS over" if self.combine == "mean" else "worst of"
-        where = f"{over} {min(self.fractions):g}-{max(self.fractions):g} of the length"
+        low, high = min(self.fractions), max(self.fractions)
+        where = f"{over} {low:g}-{high:g} of the length" if low < high else f"at {low:g} of the length"
         if len(self.gravities) > 1:
             where += f" and {len(self.gravities)} directions of gravity"
         if self.directions_deg:

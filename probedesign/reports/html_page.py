@@ -57,6 +57,7 @@ section p { color: var(--soft); margin: 1mm 0; font-size: 9.5pt }
 th:first-child, td:first-child, .last td:last-child, .last th:last-child { text-align: left }
 .worded td:last-child, .worded th:last-child { text-align: left; min-width: 40mm } .worded th { white-space: normal }
 td:last-child { white-space: normal }
+@media screen and (max-width: 600px) { td:first-child { white-space: normal; min-width: 32mm } }
 details { margin: 0 0 3mm } summary { font-size: 12.5pt; font-weight: bold; cursor: pointer }
 details p { color: var(--soft); font-size: 9.5pt }
 .last table { break-inside: auto; font-size: 9pt } .last th { white-space: normal } tr { break-inside: avoid }
