@@ -18,7 +18,7 @@ import numpy as np
 
 from benchmarks.coverage import MAX_SLIDE, MIN_STD, TOUCHES
 from benchmarks.error_statistics import CHI2_95, nees
-from benchmarks.reference_probes import Perturbations, PriorStds, nominal_free
+from benchmarks.reference_probes import Perturbations, PriorStds
 from benchmarks.reference_touches import cramer_rao, evaluate_readings, position_rms, solve_presses
 from benchmarks.timing import print_table
 from benchmarks.touches import paper_models
@@ -193,7 +193,7 @@ def _blocks(model: ProbeModel, touches: list[Scheduled], hours: float, rng: np.r
     step = np.sqrt(np.diag(model.noise.cov) * model.averaging_samples)
     bias, sides, n = np.zeros(6), rng.choice([-1.0, 1.0], 6), int(PERIOD * RATE)
     by_period = {int(touch.begin // PERIOD): touch for touch in touches}
-    free = nominal_free(model)
+    free = Perturbations.of(model, PriorStds.of(model)).nominal_free
     for period in range(int(3600.0 * hours / PERIOD)):
         t = PERIOD * period + (np.arange(n) + 0.25) / RATE
         wrench = np.tile(free, (n, 1))

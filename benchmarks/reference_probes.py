@@ -108,6 +108,11 @@ class Perturbations:
                 size += counts[source]
         return cls(model, priors, touches, slots, size)
 
+    @cached_property
+    def nominal_free(self) -> Array:
+        """The base wrench of the free probe as designed, (6,)."""
+        return solve(Probes.of(self.model.rod), self.model.gravity_base, loads=3).wrench[0]
+
     def draw(self, n: int, rng: np.random.Generator) -> Array:
         """Draw n rows of z, (n, size)."""
         return rng.normal(size=(n, self.size))
@@ -263,8 +268,3 @@ class ProbeSamples:
         to_sensor, to_base = wrench_map(T), wrench_map(inverse(T))
         added = (self.in_nominal_frame(touched) - self.in_nominal_frame(free)) @ to_sensor.T
         return nominal_free + ((1.0 + self.gain) * added + self.drift[:, k]) @ to_base.T
-
-
-def nominal_free(model: ProbeModel) -> Array:
-    """Return the base wrench of the free probe as designed, (6,)."""
-    return solve(Probes.of(model.rod), model.gravity_base, loads=3).wrench[0]

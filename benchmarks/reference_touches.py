@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from benchmarks.reference_probes import ProbeSamples, nominal_free
+from benchmarks.reference_probes import ProbeSamples
 from probedesign.core.frames import Array
 from probedesign.core.units import MM
 from tests.reference.cosserat import Touches, differences, press, solve
@@ -48,7 +48,7 @@ def evaluate_readings(
         k: index of the touch.
         columns: whether to compute the derivatives.
     """
-    n, bare = len(z), nominal_free(samples.perturbations.model)
+    n, bare = len(z), samples.perturbations.nominal_free
     wrench = samples.reading(touches.wrench, free, k, bare)
     point = samples.point_in_nominal_frame(touches.p_surface)
     if not columns:

@@ -236,7 +236,7 @@ def report(draws: int = 100) -> None:
             touches, truth = draw_touches(object_of(kind, rng), 12, rng)
             shapes = ShapeFit(touches).shapes()
             right += [shape.kind for shape in shapes] == [kind]
-            shape = ShapeFit(touches).best_of(kind, touches, rng, True)
+            shape = ShapeFit(touches).best_of(kind, touches, rng)
             if shape is not None:
                 fitted += 1
                 inside += errors_of(shape, truth) <= statistics.max_chi2(len(KINDS[kind].free), 0.05)

@@ -19,13 +19,14 @@ Bayesian interpolation, Neural Computation 4 (1992), for the evidence.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import combinations, product
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
+from scipy.optimize import Bounds, LinearConstraint, least_squares, milp
 from scipy.spatial.transform import Rotation
 from scipy.special import log_ndtr, ndtr
 
@@ -42,12 +43,14 @@ EXTENTS = (2e-3, 0.5)  #: Smallest and largest extent of a shape [m], log-unifor
 #: a tip has all normals of a half-space. Assumed.
 CORNER_CONE, TIP_CONE = math.acos(0.75), 0.5 * math.pi
 TIP_CONTACT = 1e-3  #: Standard deviation of the contact of a tip with a plane along the probe [m]; assumed.
-SHARE_ACROSS = 0.9  #: Share of touches of an edge by the side of the probe; assumed. Their normal is across both.
+#: Share of touches of edges and round shapes by the side of the probe; assumed. Their normal is across the probe.
+SHARE_ACROSS = 0.9
+BENT = 0.15  #: Standard deviation of the angle by which a press bends the probe at the contact [rad]; assumed.
 FORCE_NOISE = 0.1  #: Standard deviation of the direction of a force by the sensor's noise [rad]: 0.5 mN of 5 mN.
 MISSED = 0.003  #: Probability with which a touch of a shape is too far from it to count as one.
 MIN_ODDS = math.log(20.0)  #: Logarithm of the least odds of a shape against separate touches.
 SEEDS = 150  #: Number of random sets of touches from which each kind of shape is begun.
-ROUNDS = 6  #: Largest number of fits in which the set of touches of a shape settles.
+ROUNDS = 6  #: Largest number of choices of candidates.
 
 
 class Kind(NamedTuple):
@@ -78,7 +81,7 @@ class TouchSet:
 
     p: Array  #: touched points in the world [m], (n, 3).
     cov: Array  #: joint covariance of the points [m²], (n, 3, n, 3).
-    force: Array  #: directions of the forces on the probe, unit vectors, (n, 3).
+    force: Array  #: directions of the forces on the probe, unit vectors; zero where they say nothing, (n, 3).
     tangent: Array  #: tangents of the probe, NaN where unknown, (n, 3).
     beyond: Array  #: length of the probe beyond the contact [m], NaN where it says nothing, (n,).
     labels: tuple[str, ...]  #: numbers of the touches.
@@ -111,6 +114,12 @@ class TouchSet:
             tuple(self.labels[i] for i in which),
         )  # fmt: skip
 
+    def without_forces(self, which: NDArray[np.bool_]) -> "TouchSet":
+        """Return the touches, some of them as points alone."""
+        return replace(
+            self, force=np.where(which[:, None], 0.0, self.force), beyond=np.where(which, np.nan, self.beyond)
+        )
+
     @property
     def own_cov(self) -> Array:
         """Return the covariance of each point [m²], (n, 3, 3)."""
@@ -132,6 +141,7 @@ class Shape:
     extent: Array = field(default_factory=lambda: np.zeros((0, 2)))
     touches: tuple[str, ...] = ()  #: labels of the touches that support it.
     forces: Array = field(default_factory=lambda: np.zeros((0, 3)))  #: directions of their forces, (n, 3).
+    rim: tuple[str, ...] = ()  #: of a plane that an edge bounds, labels of the touches of the edge.
     odds: float = 0.0  #: logarithm of the odds against touches without a shape.
     probabilities: dict[str, float] = field(default_factory=dict)  #: of each kind, for its touches.
 
@@ -139,7 +149,7 @@ class Shape:
         """Return the shape with other parameters, (6,)."""
         turn = Rotation.from_rotvec([by[3], by[4], 0.0]).as_matrix()
         p, radius = self.p + self.frame @ by[:3], self.radius * math.exp(by[5])
-        return replace(self, p=p, frame=self.frame @ turn, radius=radius)
+        return Shape(self.kind, p, self.frame @ turn, radius, self.cov, self.extent, self.touches, self.forces)
 
     def distances(self, x: Array) -> tuple[Array, Array]:
         """Return how far points (n, 3) are from the shape [m], (n, k), and the derivative by the points, (n, k, 3)."""
@@ -252,11 +262,20 @@ def _mm(p: Array) -> str:
 
 
 def by_parameters(shape: Shape, x: Array) -> Array:
-    """Return the derivative of the distances of points by the six parameters, (n, k, 6), by central differences."""
-    J = np.zeros((*shape.distances(x)[0].shape, 6))
-    for i in KINDS[shape.kind].free:
-        step = 1e-6 * np.eye(6)[i]
-        J[:, :, i] = (shape.moved(step).distances(x)[0] - shape.moved(-step).distances(x)[0]) / 2e-6
+    """Return the derivative of the distances of points by the six parameters, (n, k, 6)."""
+    N = shape.distances(x)[1] @ shape.frame
+    J = N @ _local_by_parameters(shape, x)
+    if shape.radius:
+        J[:, :, 5] = -shape.radius
+    return np.asarray(J)
+
+
+def _local_by_parameters(shape: Shape, x: Array) -> Array:
+    """Return the derivative of points (n, 3) in the axes of a shape by its six parameters, (n, 3, 6)."""
+    a, b, c = np.asarray((x - shape.p) @ shape.frame).T
+    J = np.zeros((len(x), 3, 6))
+    J[:, :, :3] = -np.eye(3)
+    J[:, 1, 3], J[:, 2, 3], J[:, 0, 4], J[:, 2, 4] = c, -b, -c, a
     return J
 
 
@@ -295,9 +314,24 @@ class ShapeFit:
             return along + np.log(near + (1.0 - SHARE_ACROSS) / (2.0 * math.pi))
         angle = np.arccos(np.clip(np.einsum("na,na->n", f, shape.normals(which.p)), -1.0, 1.0))
         log_forces = -0.5 * (angle / std) ** 2 - np.log(2.0 * math.pi * std**2)
+        log_forces = np.where(np.any(f != 0.0, axis=1), log_forces, -math.log(4.0 * math.pi))
         if shape.kind == "plane":
             log_forces = log_forces + _log_tip_contact(which)
+        else:
+            log_forces = log_forces + self._log_side_contact(shape, which)
         return np.asarray(log_forces)
+
+    def _log_side_contact(self, shape: Shape, which: TouchSet) -> Array:
+        """Return the logarithm of how well the side of the probe agrees with a round surface, at most 0, (n,).
+
+        The side of a straight probe touches where its tangent is perpendicular to the normal. Places on the surface are
+        uniform already, so agreement adds nothing.
+        """
+        sine = np.einsum("na,na->n", np.nan_to_num(which.tangent), shape.normals(which.p))
+        variance = BENT**2 + np.trace(which.own_cov, axis1=1, axis2=2) / 3.0 / shape.radius**2
+        side = np.exp(-0.5 * np.arcsin(np.clip(sine, -1.0, 1.0)) ** 2 / variance)
+        known = np.isfinite(which.beyond)
+        return np.where(known, np.log(SHARE_ACROSS * side + 1.0 - SHARE_ACROSS), 0.0)
 
     def _std(self, shape: Shape, which: TouchSet) -> Array:
         """Return the standard deviation of the angle between force and normal about each axis [rad], (n,)."""
@@ -309,17 +343,20 @@ class ShapeFit:
     def _log_each(self, shape: Shape, which: TouchSet, extents: Array) -> Array:
         """Return the log density of each touch for itself if the shape has extents [m], (n,)."""
         g, N = shape.distances(which.p)
-        S = N @ which.own_cov @ N.transpose(0, 2, 1)
+        S = N @ which.own_cov @ N.transpose(0, 2, 1) + shape.cov_at(which.p)
         chi2 = np.einsum("nk,nk->n", g, np.linalg.solve(S, g[:, :, None])[:, :, 0])
         place = -0.5 * chi2 - 0.5 * np.log(np.linalg.det(2.0 * math.pi * S)) - np.log(extents).sum()
         place[chi2 > statistics.max_chi2(g.shape[1], MISSED)] = -np.inf
         return np.asarray(place + self._log_forces(shape, which))
 
-    def fitted(self, seed: Shape, which: TouchSet) -> Shape | None:
-        """Return the shape of a kind that fits touches best, with its covariance; None where they do not fix it."""
+    def fitted(self, seed: Shape, which: TouchSet, quick: bool = False) -> Shape | None:
+        """Return the shape of a kind that fits touches best, with its covariance; None where they do not fix it.
+
+        A quick fit takes one or two steps.
+        """
         free, n, shape = list(KINDS[seed.kind].free), len(which), seed
         H = np.zeros((0, 0))
-        for _ in range(2):
+        for _ in range(1 if quick else 2):
             shape = self._framed(shape, which)
             N, std = shape.distances(which.p)[1], self._std(shape, which)
             k = N.shape[1]
@@ -328,11 +365,17 @@ class ShapeFit:
 
             def residuals(by: Array, start: Shape = start, W: Array = W, std: Array = std) -> Array:
                 at = start.moved(_six(free, by))
-                return np.concatenate([W @ at.distances(which.p)[0].ravel(), _turned(at, which, std)])
+                return np.concatenate([W @ at.distances(which.p)[0].ravel(), _turned(at, which, std)[0]])
+
+            def derivative(by: Array, start: Shape = start, W: Array = W, std: Array = std) -> Array:
+                at = start.moved(_six(free, by))
+                J = W @ by_parameters(at, which.p).reshape(len(W), 6)
+                return np.concatenate([J, _turned(at, which, std)[1]])[:, free]
 
             scale = np.array([1e-3] * 3 + [1e-3 / max(shape.radius, 0.02)] * 3)[free]
             try:
-                solved = least_squares(residuals, np.zeros(len(free)), x_scale=scale, ftol=1e-4, max_nfev=12)
+                solved = least_squares(residuals, np.zeros(len(free)), derivative, x_scale=scale, ftol=1e-4,
+                                       method="lm", max_nfev=3 if quick else 12)  # fmt: skip
             except (ValueError, np.linalg.LinAlgError):
                 return None
             jac = np.asarray(solved.jac)
@@ -380,93 +423,113 @@ class ShapeFit:
             log_prior -= math.log(math.log(RADII[1] / RADII[0]))
         return log_Z + log_prior + 0.5 * len(free) * math.log(2.0 * math.pi) - 0.5 * float(np.linalg.slogdet(H)[1])
 
-    def best_of(self, kind: str, which: TouchSet, rng: np.random.Generator, all_of_them: bool) -> Shape | None:
-        """Return the shape of a kind with the largest odds among touches, or of all of them."""
+    def best_of(self, kind: str, which: TouchSet, rng: np.random.Generator) -> Shape | None:
+        """Return the shape of a kind with the largest odds that all touches support."""
         without, extents = _log_without(which), np.full(KINDS[kind].extents, 0.05)
-        scored: list[tuple[float, int, Shape, Array]] = []
-        for seed in _seeds(kind, which, rng):
-            gain = self._log_each(seed, which, extents) - without
-            scored.append((float(gain.sum() if all_of_them else np.maximum(gain, 0.0).sum()), len(scored), seed, gain))
-        best = None
-        for _, _, seed, gain in sorted(scored, reverse=True)[:3]:
-            shape = self.fitted(seed, which) if all_of_them else self._settled(seed, which, gain > 0.0, without)
-            if shape is not None and (best is None or shape.odds > best.odds):
-                best = shape
-        return best
-
-    def _settled(self, seed: Shape, which: TouchSet, inside: NDArray[np.bool_], without: Array) -> Shape | None:
-        """Return the shape of the touches that it explains better than no shape, from a seed and its touches."""
-        shape: Shape | None = seed
-        for _ in range(ROUNDS):
-            if inside.sum() < KINDS[seed.kind].fewest or shape is None:
-                return None
-            shape = self.fitted(shape, which.subset(np.flatnonzero(inside)))
-            if shape is None:
-                return None
-            extents = np.maximum(np.ptp(shape.extent, axis=1), EXTENTS[0]) * 1.5
-            now = self._log_each(shape, which, extents) > without
-            if (now == inside).all():
-                break
-            inside = now
-        return shape
+        starts = [seed for _, seed in _seeds(kind, which, rng)]
+        scores = [float((self._log_each(seed, which, extents) - without).sum()) for seed in starts]
+        fits = [self.fitted(starts[i], which) for i in np.argsort(scores)[::-1][:3]]
+        return max((shape for shape in fits if shape is not None), key=lambda shape: shape.odds, default=None)
 
     def shapes(self, seed: int = 1) -> list[Shape]:
         """Return the shapes of the touches, the most certain first; touches that no shape explains are left.
 
-        One shape after the other takes the touches that it explains. A large round shape may take touches of several
-        edges, so the search is repeated without round shapes, and the sum of the odds decides.
+        Of all candidates, those without a common touch are chosen that have the largest sum of odds. The search goes on
+        with the parts of the chosen ones, with planes that they bound, and with what they leave of other candidates.
         """
-        rng, known = np.random.default_rng(seed), dict[tuple[str, bytes], Shape | None]()
-        partitions = []
-        for kinds in (tuple(KINDS), (*FLAT, "sphere"), FLAT):
-            left, shapes = np.arange(len(self.touches)), list[Shape]()
-            while len(left) >= min(KINDS[kind].fewest for kind in kinds):
-                for kind in kinds:
-                    if (kind, left.tobytes()) not in known:
-                        known[kind, left.tobytes()] = self.best_of(kind, self.touches.subset(left), rng, False)
-                candidates = [shape for kind in kinds if (shape := known[kind, left.tobytes()]) is not None]
-                best = max(candidates, key=lambda shape: shape.odds, default=None)
-                if best is None or best.odds < MIN_ODDS:
-                    break
-                shapes.append(best := self._part(best))
-                left = np.setdiff1d(left, self._indices(best))
-            partitions.append(self._exchanged(shapes))
-        best_partition = max(partitions, key=lambda shapes: sum(shape.odds for shape in shapes))
-        judged = (self.of_one(self._indices(shape), rng) for shape in best_partition)
-        return [shape for shape in judged if shape is not None and shape.odds >= MIN_ODDS]
+        rng, every = np.random.default_rng(seed), dict[tuple[str, ...], Shape]()
 
-    def _part(self, shape: Shape) -> Shape:
-        """Return a shape, or the more probable part of it where two shapes of its kind are more probable than one."""
-        i, fewest, best, odds = self._indices(shape), KINDS[shape.kind].fewest, shape, shape.odds
+        def add(shape: Shape | None) -> None:
+            if shape is not None and shape.odds >= MIN_ODDS:
+                every.setdefault((shape.kind, *shape.touches, "", *shape.rim), shape)
+
+        for kind in KINDS:
+            for shape in self._grown(kind, rng):
+                add(shape)
+        chosen = list[Shape]()
+        for _ in range(ROUNDS):
+            before, chosen = chosen, self._packed(list(every.values()))
+            if before and all(one is other for one, other in zip(before, chosen, strict=False)):
+                break
+            for shape in [shape for shape in chosen if not shape.rim]:
+                for more in (*self._parts(shape), *(self._sheets(shape) if shape.kind == "edge" else ())):
+                    add(more)
+            sets = {(shape.kind, *shape.touches) for shape in every.values()}
+            for shape, other in product([shape for shape in every.values() if not shape.rim], chosen):
+                rest = tuple(label for label in shape.touches if label not in other.touches)
+                if KINDS[shape.kind].fewest <= len(rest) < len(shape.touches) and (shape.kind, *rest) not in sets:
+                    sets.add((shape.kind, *rest))
+                    add(self.fitted(shape, self.touches.subset(self._indices(rest))))
+        judged = (self.of_one(self._indices(shape.rim or shape.touches), rng) for shape in chosen)
+        known = [shape for shape in judged if shape is not None and shape.odds >= MIN_ODDS]
+        return sorted(known + [shape for shape in chosen if shape.rim], key=lambda shape: -shape.odds)
+
+    def _grown(self, kind: str, rng: np.random.Generator) -> Iterator[Shape]:
+        """Yield shapes of a kind to which the touch that agrees best is added, one after the other."""
+        without, tried = _log_without(self.touches), set[bytes]()
+        for chosen, start in _seeds(kind, self.touches, rng):
+            inside, shape = np.isin(np.arange(len(self.touches)), chosen), start
+            extents = np.full(KINDS[kind].extents, 0.05)
+            while True:
+                gain = np.where(inside, -math.inf, self._log_each(shape, self.touches, extents) - without)
+                inside[gain.argmax()] = True
+                if not gain.max() > 0.0 or inside.tobytes() in tried:
+                    break
+                tried.add(inside.tobytes())
+                if inside.sum() >= KINDS[kind].fewest:
+                    fit = self.fitted(shape, self.touches.subset(np.flatnonzero(inside)), quick=True)
+                    if fit is None or fit.odds < 0.0:
+                        break
+                    yield fit
+                    shape, extents = fit, np.maximum(np.ptp(fit.extent, axis=1), EXTENTS[0]) * 1.5
+
+    def _packed(self, shapes: list[Shape]) -> list[Shape]:
+        """Return the shapes without a common touch whose sum of odds is largest, the most certain first."""
+        if not shapes:
+            return []
+        uses = np.array([np.isin(self.touches.labels, shape.touches) for shape in shapes], dtype=float).T
+        packed = milp([-shape.odds for shape in shapes], integrality=np.ones(len(shapes), dtype=int),
+                      bounds=Bounds(0.0, 1.0), constraints=LinearConstraint(uses, ub=np.ones(len(uses))))  # fmt: skip
+        chosen = [shape for shape, share in zip(shapes, np.asarray(packed.x), strict=True) if share > 0.5]
+        return sorted(chosen, key=lambda shape: -shape.odds)
+
+    def _sheets(self, edge: Shape) -> Iterator[Shape]:
+        """Yield the planes through an edge and two or more other touches; they turn about the edge alone."""
+        on_edge = np.isin(self.touches.labels, edge.touches)
+        touches, without = self.touches.without_forces(on_edge), _log_without(self.touches)
+        for j in np.flatnonzero(~on_edge):
+            normal = np.cross(edge.frame[:, 2], touches.p[j] - edge.p)
+            if np.linalg.norm(normal) < EXTENTS[0]:
+                continue
+            plane = Shape("plane", edge.p, _frame(normal * math.copysign(1.0, normal @ touches.force[j])))
+            extents, gained = np.full(2, 0.05), 0.0
+            for _ in range(3):
+                gain = self._log_each(plane, touches, extents) - without
+                inside = (gain > 0.0) & ~on_edge
+                fit = self.fitted(plane, touches.subset(np.flatnonzero(inside | on_edge))) if inside.sum() > 1 else None
+                if fit is None:
+                    break
+                plane, extents = fit, np.maximum(np.ptp(fit.extent, axis=1), EXTENTS[0]) * 1.5
+                gained = float(gain[inside].sum()) + math.log(plane.tilt / math.sqrt(2.0 * math.pi))
+            if plane.touches and gained >= MIN_ODDS:
+                sure = {"plane": 1.0 / (1.0 + math.exp(-gained))}
+                yield replace(plane, rim=edge.touches, odds=edge.odds + gained, probabilities=sure)
+
+    def _parts(self, shape: Shape) -> Iterator[Shape]:
+        """Yield the parts of a shape on either side of each gap between its touches."""
+        i, fewest = self._indices(shape.touches), KINDS[shape.kind].fewest
         for places in shape.places(self.touches.p[i]).T:
             order = i[np.argsort(places)]
             for k in range(fewest, len(order) - fewest + 1):
-                parts = [self.fitted(shape, self.touches.subset(part)) for part in (order[:k], order[k:])]
-                both = [part for part in parts if part is not None and part.odds > 0.0]
-                if len(both) == 2 and (total := sum(part.odds for part in both)) > odds:
-                    best, odds = max(both, key=lambda part: part.odds), total
-        return best if best is shape else self._part(best)
-
-    def _exchanged(self, shapes: list[Shape]) -> list[Shape]:
-        """Return the shapes after each touch has gone to the shape that explains it best, a few times over."""
-        without = _log_without(self.touches)
-        for _ in range(ROUNDS):
-            extents = [np.maximum(np.ptp(shape.extent, axis=1), EXTENTS[0]) * 1.5 for shape in shapes]
-            each = [self._log_each(shape, self.touches, extent)
-                    for shape, extent in zip(shapes, extents, strict=True)]  # fmt: skip
-            of = np.argmax(np.stack([without, *each]), axis=0)
-            sets = [np.flatnonzero(of == j + 1) for j in range(len(shapes))]
-            if all(np.array_equal(i, self._indices(shape)) for i, shape in zip(sets, shapes, strict=True)):
-                break
-            fits = [self.fitted(shape, self.touches.subset(i)) for i, shape in zip(sets, shapes, strict=True)
-                    if len(i) >= KINDS[shape.kind].fewest]  # fmt: skip
-            shapes = [shape for shape in fits if shape is not None and shape.odds >= MIN_ODDS]
-        return sorted(shapes, key=lambda shape: -shape.odds)
+                for part in (order[:k], order[k:]):
+                    fit = self.fitted(shape, self.touches.subset(np.sort(part)))
+                    if fit is not None:
+                        yield fit
 
     def of_one(self, indices: NDArray[np.intp], rng: np.random.Generator) -> Shape | None:
         """Return the most probable shape that all of some touches support, with the probability of each kind."""
         which = self.touches.subset(indices)
-        fits = [self.best_of(kind, which, rng, True) for kind, of in KINDS.items() if len(which) >= of.fewest]
+        fits = [self.best_of(kind, which, rng) for kind, of in KINDS.items() if len(which) >= of.fewest]
         known = [shape for shape in fits if shape is not None]
         if not known:
             return None
@@ -474,8 +537,8 @@ class ShapeFit:
         weights = {shape.kind: math.exp(shape.odds - best.odds) for shape in known}
         return replace(best, probabilities={kind: w / sum(weights.values()) for kind, w in weights.items()})
 
-    def _indices(self, shape: Shape) -> NDArray[np.intp]:
-        return np.array(sorted(self.touches.labels.index(label) for label in shape.touches), dtype=np.intp)
+    def _indices(self, labels: tuple[str, ...]) -> NDArray[np.intp]:
+        return np.array(sorted(self.touches.labels.index(label) for label in labels), dtype=np.intp)
 
 
 def missing(touches: TouchSet, shapes: Sequence[Shape]) -> str:
@@ -494,17 +557,33 @@ def _six(free: list[int], by: Array) -> Array:
     return whole
 
 
-def _turned(shape: Shape, which: TouchSet, std: Array) -> Array:
-    """Return the residuals of the force directions: the angle from the normal as a vector, or from across an edge."""
-    f = which.force
+def _turned(shape: Shape, which: TouchSet, std: Array) -> tuple[Array, Array]:
+    """Return the residuals of the force directions, and their derivative by the six parameters.
+
+    They are the angle from the normal as a vector, or the angle from across an edge.
+    """
+    f, F = which.force, shape.frame
     if shape.kind in ("corner", "tip"):
-        return np.zeros(0)
+        return np.zeros(0), np.zeros((0, 6))
     if shape.kind == "edge":
-        return np.asarray(np.arcsin(np.clip(f @ shape.frame[:, 2], -1.0, 1.0)) / std)
+        sine = np.clip(f @ F[:, 2], -1.0, 1.0)
+        J = np.zeros((len(f), 6))
+        J[:, 3], J[:, 4] = -f @ F[:, 1], f @ F[:, 0]
+        return np.arcsin(sine) / std, J / (std * np.sqrt(np.maximum(1.0 - sine**2, 1e-6)))[:, None]
     n = shape.normals(which.p)
     axis = np.cross(f, n)
     sine, cosine = np.linalg.norm(axis, axis=1), np.einsum("na,na->n", f, n)
-    return np.asarray((axis * (np.arctan2(sine, cosine) / np.maximum(sine, 1e-12) / std)[:, None]).ravel())
+    turned = axis * (np.arctan2(sine, cosine) / np.maximum(sine, 1e-12) / std)[:, None]
+    by = np.zeros((len(f), 3, 6))  # of the normal; the residual follows its rotation
+    by[:, :, 3:5] = -np.cross(n[:, None], F[:, :2].T).transpose(0, 2, 1)
+    if shape.radius:
+        flat = np.eye(3) - np.einsum("na,nb->nab", n, n)
+        if shape.kind == "cylinder":
+            flat = flat - np.outer(F[:, 2], F[:, 2])
+        by += flat @ F @ _local_by_parameters(shape, which.p) / shape.radius
+    known = np.linalg.norm(f, axis=1) / std
+    by = np.cross(n[:, None], by.transpose(0, 2, 1)).transpose(0, 2, 1) * known[:, None, None]
+    return turned.ravel(), by.reshape(-1, 6)
 
 
 def _log_tip_contact(which: TouchSet) -> Array:
@@ -537,19 +616,21 @@ def _frame(w: Array) -> Array:
     return np.column_stack([u, np.cross(w, u), w])
 
 
-def _seeds(kind: str, which: TouchSet, rng: np.random.Generator) -> list[Shape]:
-    """Return shapes of a kind through small sets of touches, each a touch and some of its neighbours."""
+def _seeds(kind: str, which: TouchSet, rng: np.random.Generator) -> Iterator[tuple[list[int], Shape]]:
+    """Yield small sets of touches, each a touch and some of its neighbours, and shapes of a kind through them."""
     n, size = len(which), min(KINDS[kind].seed, len(which))
     far = np.linalg.norm(which.p[:, None] - which.p[None], axis=2)
     near = np.argsort(far, axis=1)[:, : max(12, size + 3)]
     sets = {tuple(sorted(rng.choice(near[i % n], size, replace=False))) for i in range(SEEDS if size > 1 else n)}
-    seeds = []
-    for chosen in sorted(sets):
-        p, f = which.p[list(chosen)], which.force[list(chosen)]
-        seed = _through(kind, p, f)
-        if seed is not None:
-            seeds.append(seed)
-    return seeds
+    for chosen in sorted(combinations(range(n), size) if size == 2 else sets):
+        i, free = list(chosen), list(KINDS[kind].free)
+        shape = _through(kind, which.p[i], which.force[i])
+        if shape is not None:
+            J, N = by_parameters(shape, which.p[i]).reshape(-1, 6)[:, free], shape.distances(which.p[i])[1]
+            S = np.einsum("iax,ixjy,jby->iajb", N, which.cov[i][:, :, i], N).reshape(len(J), len(J))
+            cov, by = np.zeros((6, 6)), np.linalg.pinv(J)
+            cov[np.ix_(free, free)] = by @ S @ by.T
+            yield i, replace(shape, cov=cov)
 
 
 def _through(kind: str, p: Array, f: Array) -> Shape | None:

@@ -89,7 +89,7 @@ def test_the_force_stays_small_on_an_object_that_may_be_soft(estimator, box):
 def test_the_extent_of_an_edge_is_sought_beyond_its_ends(estimator):
     rng = np.random.default_rng(8)
     touches, _ = draw_touches(object_of("edge", rng), 8, rng)
-    edge = ShapeFit(touches).best_of("edge", touches, rng, True)
+    edge = ShapeFit(touches).best_of("edge", touches, rng)
     edge = replace(edge, p=np.zeros(3))
     try:
         best = suggestion(estimator, "extent", [edge])
@@ -104,7 +104,7 @@ def test_what_no_touch_improves_is_one_line(estimator):
         suggestion(estimator, "shapes")
     rng = np.random.default_rng(9)
     touches, _ = draw_touches(object_of("edge", rng), 8, rng)
-    edge = ShapeFit(touches).best_of("edge", touches, rng, True)
+    edge = ShapeFit(touches).best_of("edge", touches, rng)
     with pytest.raises(InputError, match="no touch that the base reaches improves"):
         suggestion(estimator, "shapes", [replace(edge, p=edge.p + 5.0)])
 

@@ -23,7 +23,7 @@ def test_the_regions_of_a_shape_hold(kind):
     rng, inside = np.random.default_rng(4), 0
     for _ in range(20):
         touches, truth = draw_touches(object_of(kind, rng), 9, rng)
-        shape = ShapeFit(touches).best_of(kind, touches, rng, True)
+        shape = ShapeFit(touches).best_of(kind, touches, rng)
         inside += errors_of(shape, truth) <= statistics.max_chi2(len(KINDS[kind].free), 0.05)
     assert inside >= 16  # of 20 with a probability of 0.95 each, fewer happen once in 400 times
 
