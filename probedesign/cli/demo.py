@@ -40,7 +40,7 @@ TARE, AVERAGE = "0.5:3.5", 36
 #: Simulated contact: 20 mN, swept along the probe and back, with the sensor's noise.
 TOUCH = "force_mN=20&seconds=20&rate_hz=10&speed=max"
 
-_STYLE = """code { overflow-wrap: anywhere; font-size: 13px; color: var(--soft) }
+DEMO_STYLE = """code { overflow-wrap: anywhere; font-size: 13px; color: var(--soft) }
 .links a { margin-right: 16px } .waiting { font-style: italic } .figures { margin: 32px 0 }
 section img { max-width: 100%; background: #fff }
 """
@@ -120,7 +120,7 @@ def run_demo(folder: Path, force: bool, show: Callable[[str], object]) -> dict[s
     def write_page(working: str) -> Path:
         extra = f'<div class="figures">{"".join(sections.values())}</div>'
         extra += "".join(f"<p>skipped: {escape(reason)}</p>" for reason in skipped)
-        style = REPORT_STYLE + _STYLE + STYLE
+        style = REPORT_STYLE + DEMO_STYLE + STYLE
         page = write_home(folder, probe.model, str(design), extra=extra, style=style, working=working)
         if page is None:
             raise InputError(f"{folder}/index.html: is not a page of this program; name another folder with --out")

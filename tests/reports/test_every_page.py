@@ -12,7 +12,7 @@ import pytest
 from probedesign import pipeline
 from probedesign.campaigns import read_campaign
 from probedesign.cli.console import json_bytes
-from probedesign.cli.demo import demo_section
+from probedesign.cli.demo import DEMO_STYLE, demo_section
 from probedesign.cli.main import run
 from probedesign.design import load_design
 from probedesign.live.blocks import iter_readings
@@ -125,7 +125,7 @@ def demo(request) -> bytes:
     picture, long = '<img src="points.svg" alt="points">', Path(20 * "long/")
     extra = demo_section(folder, "estimate", "Located.", replay) + demo_section(long, "whisker", "Not made.")
     extra += demo_section(folder, "explore", "Found.", picture, [("points.svg", "points")])
-    style = REPORT_STYLE + STYLE
+    style = REPORT_STYLE + DEMO_STYLE + STYLE
     (folder / "prediction.json").write_bytes(json_bytes(probe().predict().as_dict()))
     page = write_home(folder, probe().model, extra=f'<div class="figures">{extra}</div>', style=style)
     assert page is not None
