@@ -15,7 +15,6 @@ from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -562,20 +561,18 @@ def _variances(A: Array, y: Array, std: Array, walked: Array, least_walk: float)
     """
     residual = y - A @ np.linalg.lstsq(A, y, rcond=None)[0]
     size = math.sqrt(float(residual @ residual) / max(len(y) - A.shape[1], 1)) + 1e-12
-    levels = size * np.geomspace(0.02, 3.0, 12)
-    tried = []
+    levels = np.append(0.0, size * np.geomspace(0.02, 3.0, 12))
     per_second = 1.0 / math.sqrt(max(float(walked.max()), 1e-9))
-    for scatter, walk in product((0.0, *levels.tolist()), (0.0, *(per_second * levels).tolist())):
-        walk = max(walk, least_walk)
-        V = np.diag(std**2 + scatter**2) + walk**2 * walked
-        try:
-            root = np.linalg.cholesky(V)
-        except np.linalg.LinAlgError:
-            continue
-        B, z = np.linalg.solve(root, A), np.linalg.solve(root, y)
-        r = z - B @ np.linalg.lstsq(B, z, rcond=None)[0]
-        value = 2.0 * float(np.log(np.diag(root)).sum()) + float(np.linalg.slogdet(B.T @ B)[1]) + float(r @ r)
-        tried.append((value, scatter**2, walk**2))
-    value, scatter2, walk2 = np.array(tried).T
+    scatter, walk = (axis.ravel() for axis in np.meshgrid(levels, np.maximum(per_second * levels, least_walk)))
+    known = (scatter > 0.0) | (std.min() > 0.0)  # the walk alone leaves the first rest without an error
+    scatter2, walk2 = scatter[known] ** 2, walk[known] ** 2
+    roots = np.linalg.cholesky(
+        (std**2 + scatter2[:, None])[:, :, None] * np.eye(len(y)) + walk2[:, None, None] * walked
+    )
+    B, z = np.linalg.solve(roots, A), np.linalg.solve(roots, y[:, None])
+    Q, R = np.linalg.qr(B)
+    r = z - Q @ (Q.transpose(0, 2, 1) @ z)
+    value = 2.0 * np.log(np.diagonal(roots, axis1=1, axis2=2)).sum(axis=1) + np.square(r).sum(axis=(1, 2))
+    value += 2.0 * np.log(np.abs(np.diagonal(R, axis1=1, axis2=2))).sum(axis=1)
     weights = np.exp(0.5 * (value.min() - value))
     return math.sqrt(weights @ scatter2 / weights.sum()), math.sqrt(weights @ walk2 / weights.sum())
