@@ -21,6 +21,7 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("--view", action="store_true", help="live: with the page of live --view")
     parser.add_argument("--foxglove", action="store_true", help="live: with the server of live --foxglove")
     parser.add_argument("--draws", type=int, help="coverage: touches in each row; shapes: objects of each kind")
+    parser.add_argument("--scenes", type=int, help="shapes: card houses and known objects, default 10")
     parser.add_argument(
         "--only", help="coverage: rows with this in the name; motion: payload, drift, moves, touches; explore: probes"
     )
@@ -42,7 +43,7 @@ def main(arguments: list[str]) -> int:
         elif name in ("motion", "explore"):
             given = {"only": args.only}
         elif name == "shapes":
-            given = {"draws": args.draws}
+            given = {"draws": args.draws, "scenes": args.scenes}
         elif name == "day":
             given = {"hours": args.hours}
         elif name == "coverage":

@@ -3,8 +3,8 @@
 A touch gives a point of the surface with its covariance, and the direction of the force on the probe, which lies in the
 friction cone about the outward normal. For each kind of shape the residuals are the distances of the points from the
 shape, whitened by the joint covariance of all points, and the angles of the forces from the normals. The fit minimises
-their squares (`scipy.optimize.least_squares`). Candidates come from small random sets of touches; the best takes its
-touches with it, and the search goes on with the rest (sequential RANSAC).
+their squares (`scipy.optimize.least_squares`). Candidates grow from small sets of touches, touch by touch, and those
+without a common touch are chosen that have the largest sum of log odds (set packing, `scipy.optimize.milp`).
 
 The kind is chosen by the evidence, the integral of likelihood times prior by Laplace's approximation at the fit:
 
@@ -12,7 +12,8 @@ The kind is chosen by the evidence, the integral of likelihood times prior by La
 
 A touched place is uniform over the extent of the shape, and the extent is log-uniform, so an edge that explains the
 touches of a line is more probable than a plane through them. Without a shape, points are uniform in the workspace and
-forces have any direction. A straight probe touches a plane with its tip, so a contact away from the tip is on no plane.
+forces have any direction. A straight probe touches a plane with its tip, so a contact away from the tip is on no plane,
+unless it is on the edge that bounds the plane.
 
 Source: P. H. S. Torr and A. Zisserman, MLESAC, Computer Vision and Image Understanding 78 (2000); D. J. C. MacKay,
 Bayesian interpolation, Neural Computation 4 (1992), for the evidence.
@@ -667,7 +668,7 @@ def shapes_document(shapes: Sequence[Shape]) -> list[dict[str, Any]]:
             "radius_mm": float(shape.radius) / MM or None, "extent_mm": (shape.extent / MM).tolist(),
             "cov": shape.cov.tolist(), "rms_mm": shape.rms / MM,
             "tilt_deg": None if math.isnan(shape.tilt) else math.degrees(shape.tilt),
-            "touches": list(shape.touches), "probabilities": shape.probabilities,
+            "touches": list(shape.touches), "rim": list(shape.rim), "probabilities": shape.probabilities,
         }
         for shape in shapes
     ]  # fmt: skip

@@ -5,7 +5,7 @@ import pytest
 
 from benchmarks.shapes import draw_touches, errors_of, object_of
 from probedesign.core import statistics
-from probedesign.mapping.shapes import KINDS, ShapeFit, missing
+from probedesign.mapping.shapes import KINDS, ShapeFit, TouchSet, missing
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -57,3 +57,21 @@ def test_two_touches_are_no_shape():
     touches, _ = draw_touches(object_of("plane", rng), 2, rng)
     assert ShapeFit(touches).shapes() == []
     assert "a plane 3, an edge 3" in missing(touches, [])
+
+
+def test_an_edge_bounds_the_plane_of_two_touches_of_the_face_behind_it():
+    rng, n, std = np.random.default_rng(7), 6, 0.3e-3
+    p = np.array([(0, 0, 10), (0, 0, 30), (0, 0, 55), (0, 0, 75), (0, 20, 25), (0, 55, 60)]) * 1e-3
+    c, s = np.cos(np.radians(45.0)), np.sin(np.radians(12.0))
+    sides = [(c, c, 0.0), (-c, c, 0.0)] * 2  # directions of the probe at the edge, which lies along z
+    tangent = np.array([*sides, *[(-s, np.cos(np.radians(12.0)), 0.0)] * 2])
+    force = np.array([*[(b - 2.0 * c * (a > 0.0), -c, 0.0) for a, b, _ in sides], *[(1.0, 0.0, 0.0)] * 2])
+    cov = np.einsum("ij,ab->iajb", np.eye(n), std**2 * np.eye(3))
+    beyond = np.array([0.01] * 4 + [0.0] * 2)
+    labels = tuple(str(i) for i in range(1, n + 1))
+    shapes = ShapeFit(TouchSet(p + std * rng.normal(size=(n, 3)), cov, force, tangent, beyond, labels)).shapes()
+    plane, edge = sorted(shapes, key=lambda shape: shape.kind, reverse=True)
+    assert (edge.kind, edge.touches) == ("edge", ("1", "2", "3", "4"))
+    assert (plane.kind, plane.rim) == ("plane", edge.touches)
+    # Two touches of 0.3 mm, 20 and 55 mm behind the edge, leave less than 2° of tilt.
+    assert np.degrees(np.arccos(abs(plane.frame[0, 2]))) < 2.0
