@@ -22,7 +22,7 @@ def test_shapes_of_each_kind_and_the_next_touch_are_drawn_and_listed():
     rng, shapes = np.random.default_rng(1), []
     for kind in KINDS:
         touches, _ = draw_touches(object_of(kind, rng), 12, rng)
-        shapes.append(ShapeFit(touches).best_of(kind, touches, rng, True))
+        shapes.append(ShapeFit(touches).best_of(kind, touches, rng))
     ghost = np.array([[0.0, 0.0, 0.0, 6e-3], [0.0, 0.0, 0.15, 1e-3]])
     lines = tuple(shape.text for shape in shapes)
     scene = MapScene(build_map([touch(1, (0, 0, 0), 5e-3)], STD_E), (), tuple(shapes), lines, ghost)
