@@ -128,7 +128,8 @@ def _arguments(
 
     bundles, recordings = list[Path](), list[Path]()
     for path in paths:
-        recorded = is_bag(path) or path.suffix.lower() == ".csv" or (path.is_file() and path.suffix != ".json")
+        named = path.suffix.lower() in (".csv", ".mcap", ".db3")  # also where there is no such file, which is reported
+        recorded = named or is_bag(path) or (path.is_file() and path.suffix != ".json")
         (recordings if recorded and path != paths[0] else bundles).append(path)
     if manifest is not None and len(bundles) > 1:
         raise InputError("--manifest belongs to one probe; check each probe in a run of its own")
