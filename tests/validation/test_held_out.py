@@ -95,7 +95,7 @@ def test_the_number_of_touches_needed_notices_errors_that_are_larger(larger, nee
     """That many touches give the verdict "too_small" in 95 % of draws, half as many do not, and it is rarely wrong."""
     n = touches_needed(larger, 3)
     assert n == needed
-    rng, draws = np.random.default_rng(2), 400
+    rng, draws = np.random.default_rng(2), 150
 
     def too_small(touches, factor):
         squares = factor**2 * rng.chisquare(3, size=(draws, touches))
