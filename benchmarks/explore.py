@@ -145,12 +145,12 @@ def _by_command(
               "--tare-s", "0.5:3.5", "--average", "36", "--out", f"{at}/found", *options])  # fmt: skip
         with (at / "found/points.csv").open(encoding="utf-8") as file:
             found = [row for row in csv.DictReader(file) if row["result"] == "ok"]
-    names = [f"{axis}_world_mm" for axis in "xyz"]
-    names += [f"cov_world_{name}_mm2" for name in ("xx", "xy", "xz", "yy", "yz", "zz")]
-    rows = np.array([[float(row[name]) for name in names] for row in found]).reshape(-1, 9)
+    columns = [f"{axis}_world_mm" for axis in "xyz"]
+    columns += [f"cov_world_{name}_mm2" for name in ("xx", "xy", "xz", "yy", "yz", "zz")]
+    rows = np.array([[float(row[name]) for name in columns] for row in found]).reshape(-1, 9)
     truth = []
     for row in found:
-        touches = simulated[max(names.index(row["touch_numbers"].split()[0]), 0) if len(names) > 1 else 0].touches
+        touches = simulated[names.index(row["touch_numbers"].split()[0]) if len(names) > 1 else 0].touches
         truth.append(min(touches, key=lambda touch: abs(touch.start - float(row["time_s"]))).p_world / MM)
     missing = max(sum(not t.target.repeated for each in simulated for t in each.touches) - len(found), 0)
     return _point_errors(rows, np.array(truth), missing)
