@@ -297,11 +297,11 @@ def test_a_run_of_live_is_followed_and_answered_with_the_next_touch(probe, house
              f"udp://127.0.0.1:{answers.getsockname()[1]}", "--out", str(tmp_path / "out")],
             stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)  # fmt: skip
         assert "listening" in following.stderr.readline()
-        run_of_it = [*sender, "live", str(probe), "--source", f"replay:{house[1]}/house.mcap?speed=5", "--pose",
+        run_of_it = [*sender, "live", str(probe), "--source", f"replay:{house[1]}/house.mcap?speed=2", "--pose",
                      str(house[1] / "poses.csv"), "--tare-s", "0.5:3.5", "--average", "36", "--rate-hz", "200",
                      "--publish", f"udp://127.0.0.1:{port}"]  # fmt: skip
         assert subprocess.run(run_of_it, capture_output=True, check=False).returncode == 0
-        answers.settimeout(60.0)
+        answers.settimeout(120.0)
         first, second = (json.loads(answers.recv(65536)) for _ in range(2))
         following.send_signal(signal.SIGINT)
         printed, _ = following.communicate(timeout=120)
