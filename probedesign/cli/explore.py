@@ -276,7 +276,7 @@ def _understood(
 
     cloud = joint_map(explorations) if len(explorations) > 1 else next(iter(explorations.values())).map()
     touched, friction = TouchSet.of(cloud), max(each.estimator.model.friction for each in explorations.values())
-    shapes = ShapeFit(touched, friction).shapes() if len(touched) > 2 else []  # fewer make none
+    shapes = ShapeFit(touched, friction).shapes()
     known = options.known(touched, friction)
     lines, ghost = [*(shape.text for shape in shapes), missing(touched, shapes)], None
     document: dict[str, Any] = {"shapes": shapes_document(shapes)}

@@ -444,7 +444,7 @@ class ShapeFit:
             if shape is not None and shape.odds >= MIN_ODDS:
                 every.setdefault((shape.kind, *shape.touches, "", *shape.rim), shape)
 
-        for kind in KINDS:
+        for kind in [kind for kind, of in KINDS.items() if of.fewest <= len(self.touches)]:
             for shape in self._grown(kind, rng):
                 add(shape)
         chosen = list[Shape]()

@@ -52,9 +52,10 @@ def test_two_edges_of_a_box_stay_two_edges_and_a_lone_touch_is_no_shape():
     assert missing(both, shapes).startswith("no shape: touch 17;")
 
 
-def test_two_touches_are_no_shape():
+@pytest.mark.parametrize("n", [1, 2])
+def test_too_few_touches_are_no_shape(n):
     rng = np.random.default_rng(6)
-    touches, _ = draw_touches(object_of("plane", rng), 2, rng)
+    touches, _ = draw_touches(object_of("plane", rng), n, rng)
     assert ShapeFit(touches).shapes() == []
     assert "a plane 3, an edge 3" in missing(touches, [])
 
