@@ -7,6 +7,8 @@ import shutil
 import subprocess
 import sys
 import tempfile
+import threading
+from collections import deque
 from collections.abc import Iterator
 from contextlib import chdir, contextmanager
 from pathlib import Path
@@ -54,11 +56,15 @@ def report(out: Path = OUT) -> None:
         with chdir(folder), _live() as address:
             rows += _pictures(browser, "live", address, out, 6000)
         browser.close()
-    print_table(f"Pictures in {out}", ["page", "picture", "errors", "requests to a network", "cut off [px]"], rows)
+    print_table(f"Pictures in {out}", ["page", "picture", "errors", "requests to a network", "cut off [px]",
+                                          "texts of low contrast"], rows)  # fmt: skip
 
 
 def _pictures(browser: Any, name: str, address: str, out: Path, wait_ms: int) -> Iterator[list[str]]:
-    """Take the four pictures of a page, and yield a row for each: errors, requests, and width beyond the window."""
+    """Take the four pictures of a page, and yield a row for each: errors, requests, width beyond the window, and texts
+    whose contrast is below 4.5."""
+    from axe_playwright_python.sync_playwright import Axe
+
     for size, scheme in ((size, scheme) for size in SIZES for scheme in ("light", "dark")):
         tab = browser.new_page(viewport=SIZES[size], color_scheme=scheme)
         errors, requests = list[str](), list[str]()
@@ -70,8 +76,10 @@ def _pictures(browser: Any, name: str, address: str, out: Path, wait_ms: int) ->
         beyond = tab.evaluate("document.documentElement.scrollWidth - document.documentElement.clientWidth")
         picture = f"{name}-{size}-{scheme}.png"
         tab.screenshot(path=out / picture)
+        low = Axe().run(tab, options={"runOnly": ["color-contrast"]}).response["violations"]
         tab.close()
-        yield [name, picture, "; ".join(errors) or "none", "; ".join(requests) or "none", str(beyond)]
+        yield [name, picture, "; ".join(errors) or "none", "; ".join(requests) or "none", str(beyond),
+               str(sum(len(rule["nodes"]) for rule in low))]  # fmt: skip
 
 
 def _is_local(url: str) -> bool:
@@ -98,6 +106,8 @@ def _live() -> Iterator[str]:
         try:
             for line in running.stdout:
                 if "http://" in line:
+                    # It would wait for a reader of its lines.
+                    threading.Thread(target=deque, args=(running.stdout, 0), daemon=True).start()
                     yield "http://" + line.split("http://")[1].split()[0].rstrip(",")
                     break
         finally:

@@ -78,6 +78,7 @@ STYLE = """
 html { font-size: 16px !important; --mantine-font-size-xs: 14px; --mantine-font-family: system-ui, sans-serif }
 body, input, button, textarea { font-family: system-ui, sans-serif !important; font-variant-numeric: tabular-nums }
 [style*="letter-spacing"] { letter-spacing: 0 !important; font-size: 14px !important; line-height: 1.3 !important }
+label { color: light-dark(#4d5761, #a9b2bb) !important }
 .mantine-Slider-markLabel { font-size: 12px !important }
 #webgl-software-rendering .mantine-Notification-description { display: none }
 #webgl-software-rendering .mantine-Notification-title { font-size: 0 }

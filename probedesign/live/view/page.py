@@ -197,7 +197,7 @@ class Panel:
         text = gui.add_text("Note", "")
         mark = gui.add_button("Mark this time", icon=viser.Icon.FLAG)
         mark.on_click(lambda _: send_command("mark", text.value))
-        self._start = gui.add_button("Start recording", icon=viser.Icon.PLAYER_RECORD, color="red")
+        self._start = gui.add_button("Start recording", icon=viser.Icon.PLAYER_RECORD, color=(192, 36, 36))
         self._start.on_click(lambda _: send_command("start recording", ""))
         self._stop = gui.add_button("Stop recording", icon=viser.Icon.PLAYER_STOP, color="gray", disabled=True)
         self._stop.on_click(lambda _: send_command("stop recording", ""))
