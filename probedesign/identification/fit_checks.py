@@ -659,7 +659,7 @@ def _loss_of_test(point: Linearization, test: MeasuredTest) -> float:
 
 def _mistakes(problem: LeastSquaresProblem, pair: tuple[str, str] | None) -> Iterator[Mistake]:
     """Yield mistakes that the tests may contain."""
-    common, tests = problem.common, problem.tests
+    common, tests, length = problem.common, problem.tests, problem.common.model.rod.length
     if any(test.wrench_base is not None for test in tests):
         both = np.repeat([-1.0, 1.0], 3)
         signs = {"all wrenches": -np.ones(6), "forces": both, "moments": -both}
@@ -681,7 +681,8 @@ def _mistakes(problem: LeastSquaresProblem, pair: tuple[str, str] | None) -> Ite
             yield Mistake(name, f"{name}: known forces {what}; check tests.csv", partial(_known, factor))
     if any(len(test.marker_s) > 2 for test in tests):
         for shift, size in ((1, "low"), (-1, "high")):
-            yield Mistake("marker", f"marker: all numbers too {size} by 1; check s_mm", partial(_shifted, shift))
+            yield Mistake("marker", f"marker: all numbers too {size} by 1; check s_mm",
+                          partial(_shifted, shift, length))  # fmt: skip
 
 
 def _exchange(common: CommonParameters, of: dict[str, MeasuredTest], pair: tuple[str, str]) -> Mistake:
@@ -721,9 +722,9 @@ def _known(factor: float, test: MeasuredTest) -> MeasuredTest:
     return test if test.force_world is None else replace(test, force_world=factor * test.force_world)
 
 
-def _shifted(shift: int, test: MeasuredTest) -> MeasuredTest:
+def _shifted(shift: int, length: float, test: MeasuredTest) -> MeasuredTest:
     s = test.marker_s
     if len(s) < 2:
         return test
-    end = 2.0 * s[-1] - s[-2] if shift > 0 else max(2.0 * s[0] - s[1], 0.0)
+    end = min(2.0 * s[-1] - s[-2], length) if shift > 0 else max(2.0 * s[0] - s[1], 0.0)
     return replace(test, marker_s=np.append(s[1:], end) if shift > 0 else np.append(end, s[:-1]))

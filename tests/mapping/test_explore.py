@@ -3,7 +3,6 @@
 import csv
 import io
 import json
-import signal
 import socket
 import subprocess
 import sys
@@ -303,7 +302,7 @@ def test_a_run_of_live_is_followed_and_answered_with_the_next_touch(probe, house
         assert subprocess.run(run_of_it, capture_output=True, check=False).returncode == 0
         answers.settimeout(120.0)
         first, second = (json.loads(answers.recv(65536)) for _ in range(2))
-        following.send_signal(signal.SIGINT)
+        following.terminate()  # SIGINT is ignored in a shell's background
         printed, _ = following.communicate(timeout=120)
     assert following.returncode == 0 and "next touch" in printed
     assert np.shape(first["suggestion"]["T_world_base"]["contact"]) == (4, 4)
