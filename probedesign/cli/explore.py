@@ -322,13 +322,13 @@ def _suggested(
         if not poses:
             continue
         try:
-            found = suggest(exploration.estimator, np.array(poses), exploration.gravity_world, options.goal, shapes,
-                            known, 1e-3 * options.force_limit_mN)  # fmt: skip
+            proposal = suggest(exploration.estimator, np.array(poses), exploration.gravity_world, options.goal, shapes,
+                               known, 1e-3 * options.force_limit_mN)  # fmt: skip
         except InputError as error:
             problem = error
             continue
-        if best is None or found.after < best.after:
-            best = replace(found, probe=name if len(explorations) > 1 else "")
+        if best is None or proposal.after < best.after:
+            best = replace(proposal, probe=name if len(explorations) > 1 else "")
     if best is None:
         raise problem
     return best

@@ -5,12 +5,12 @@ from collections.abc import Callable, Generator, Iterator, Mapping
 from contextlib import closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 
 from probedesign.core.errors import InputError
-from probedesign.core.frames import Array
+from probedesign.core.frames import Array, is_pose
 from probedesign.estimation.estimate import Estimate
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.model import ProbeModel, Tolerances
@@ -21,7 +21,7 @@ from probedesign.live.poses.base_poses import BasePoses
 from probedesign.live.poses.open import FIXED
 from probedesign.live.processing.chain import ProcessingOptions
 from probedesign.live.processing.estimates import EstimateUpdate
-from probedesign.live.processing.touches import Contact
+from probedesign.live.processing.touches import Contact, Phase
 from probedesign.live.run import estimate_stream
 from probedesign.live.sources.replay import RecordingOptions, open_recording
 from probedesign.live.sources.source import Source
@@ -206,15 +206,15 @@ def followed_update(gravity_world: Array, values: Mapping[str, Any]) -> Parsed[E
     try:
         T = np.array(values["T_world_base"], dtype=float).reshape(4, 4)
         wrench = np.array([*values["mount_force_base_N"], *values["mount_moment_base_Nm"]], dtype=float).reshape(6)
-        time, touch = float(values["time_s"]), float(values["touch"] or math.nan)
-        if not np.isfinite([*T.ravel(), *wrench, time]).all() or not np.allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3)):
+        time, touch, phase = float(values["time_s"]), values["touch"], values["phase"]
+        contacts = (Contact(int(touch), time),) if touch else ()
+        if not np.isfinite([*wrench, time]).all() or not is_pose(T) or phase not in get_args(Phase):
             raise ValueError
-    except (KeyError, TypeError, ValueError):
-        raise InputError("has no valid pose, wrench or time") from None
-    contacts = () if math.isnan(touch) else (Contact(int(touch), time),)
+    except (KeyError, TypeError, ValueError, OverflowError):
+        raise InputError("has no valid pose, wrench, time, phase or touch") from None
     reading = WrenchReading(time, wrench, T[:3, :3].T @ gravity_world)
     update = EstimateUpdate(
-        reading, Estimate("no_contact"), values["phase"], T_world_base=T, wrench_base=wrench, contacts=contacts,
+        reading, Estimate("no_contact"), phase, T_world_base=T, wrench_base=wrench, contacts=contacts,
         probe=str(values.get("probe", "")),
     )  # fmt: skip
     return Parsed(update, sequence=sequence)

@@ -450,7 +450,7 @@ class ShapeFit:
         chosen = list[Shape]()
         for _ in range(ROUNDS):
             before, chosen = chosen, self._packed(list(every.values()))
-            if before and all(one is other for one, other in zip(before, chosen, strict=False)):
+            if before and all(former is shape for former, shape in zip(before, chosen, strict=False)):
                 break
             for shape in [shape for shape in chosen if not shape.rim]:
                 for more in (*self._parts(shape), *(self._sheets(shape) if shape.kind == "edge" else ())):

@@ -14,14 +14,17 @@ import pytest
 import trimesh
 
 from probedesign.cli.main import run
+from probedesign.core.errors import InputError
 from probedesign.core.statistics import max_chi2
 from probedesign.core.units import MM
 from probedesign.frozen_probe import load_estimator, write_frozen
+from probedesign.live.outputs.sinks import SCHEMA
 from probedesign.live.poses.pose_sources import POSE_COLUMNS, read_pose_file
 from probedesign.live.recordings.csv import write_recording
 from probedesign.live.recordings.mcap_write import McapRecorder
 from probedesign.live.sources.replay import open_recording
 from probedesign.mapping.contact_map import COLUMNS
+from probedesign.mapping.explore import followed_update
 
 
 def arguments(probe, folder, *more, poses="poses.csv"):
@@ -279,6 +282,23 @@ def test_several_probes_without_names_recordings_or_poses_of_their_own_are_refus
     words = change(*files, ["--pose", str(house[1] / "poses.csv")])
     line = refused(capsys, ["explore", *words, *(["--tare-s", "0.5:3.5"] if "--follow" not in words else [])])
     assert named in line
+
+
+@pytest.mark.parametrize("change", [
+    {"number": "7"}, {"schema": 0}, {"T_world_base": np.diag([1.0, 1.0, -1.0, 1.0]).tolist()},
+    {"T_world_base": [[1.0]]}, {"mount_force_base_N": [0.0, float("nan"), 0.0]}, {"time_s": None},
+    {"touch": float("inf")}, {"touch": "first"}, {"phase": ["touching"]}, {"phase": None},
+])  # fmt: skip
+def test_a_damaged_estimate_of_a_followed_run_is_refused(change):
+    """The thread that receives ends with any other exception."""
+    estimate = {
+        "schema": SCHEMA, "number": 7, "kind": "estimate", "phase": "touching", "touch": 3, "time_s": 1.0,
+        "T_world_base": np.eye(4).tolist(), "mount_force_base_N": [0.0] * 3, "mount_moment_base_Nm": [0.0] * 3,
+    }  # fmt: skip
+    update = followed_update(np.array([0.0, 0.0, -9.81]), estimate).value
+    assert update is not None and update.contacts[0].number == 3
+    with pytest.raises(InputError):
+        followed_update(np.array([0.0, 0.0, -9.81]), estimate | change)
 
 
 def test_a_run_of_live_is_followed_and_answered_with_the_next_touch(probe, house, found, tmp_path):
