@@ -52,7 +52,7 @@ def test_a_project_has_one_folder_of_exports_and_others_have_their_own(workplace
 
 def test_design_predict_deploy_and_live(workplace, capsys):
     assert run(["new", "a", "--length", "150", "--base-d", "12"]) == 0
-    assert run(["predict", "designs/a.toml", "--no-plots"]) == 0
+    assert run(["predict", "designs/a.toml"]) == 0
     assert run(["deploy", "designs/a.toml"]) == 0
     capsys.readouterr()
     frozen = "exports/a/a.probe.json"
@@ -138,16 +138,9 @@ def test_rigid_root_as_long_as_the_probe_is_refused_with_key_and_line(workplace,
     assert run(["new", "a", "--length", "5", "--base-d", "8"]) == 0
     design = workplace / "designs/a.toml"
     design.write_text(design.read_text().replace("hold =", "root_rigid_radii = 2.0\nhold ="))
-    assert run(["predict", "designs/a.toml", "--no-plots"]) == 2
+    assert run(["predict", "designs/a.toml"]) == 2
     error = capsys.readouterr().err
     assert "mount.root_rigid_radii" in error and "designs/a.toml:" in error
-
-
-def test_demo_reports_a_picture_that_was_not_drawn(tmp_path, monkeypatch):
-    monkeypatch.setattr(demo, "prediction_files", lambda *_: [("prediction.json", b"{}")])
-    skipped: list[str] = []
-    assert list(demo._predict(None, None, tmp_path, skipped)) == [str(tmp_path / "prediction.json")]
-    assert len(skipped) == 1 and "matplotlib" in skipped[0]
 
 
 def test_the_demo_page_is_there_at_once_and_ends_complete(workplace, monkeypatch, capsys):

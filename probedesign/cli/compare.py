@@ -2,7 +2,7 @@
 
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from cyclopts import Parameter
 
@@ -11,9 +11,6 @@ from probedesign.cli.options import DesignFile, JsonOutput, TaskOptions
 from probedesign.core.errors import InputError
 from probedesign.core.files import exports_of, write_atomically
 from probedesign.core.units import format_value
-
-if TYPE_CHECKING:
-    pass
 
 
 def compare(
@@ -82,7 +79,6 @@ def sweep(
     out: Path | None = None,
     scheduler: str | None = None,
     workers: int | None = None,
-    beside: Path | None = None,
     options: TaskOptions | None = None,
     as_json: JsonOutput = False,
 ) -> None:
@@ -96,7 +92,6 @@ def sweep(
         out: output folder. Default: exports/NAME/sweep.
         scheduler: address of a dask scheduler, tcp://HOST:PORT. Default: processes on this machine.
         workers: number of processes on this machine. Default: one per processor.
-        beside: sweep.csv of another grid of the same keys, drawn beside this one.
         options: the task for which the designs are evaluated.
     """
     from probedesign.core.parallel import start_forkserver
@@ -110,12 +105,11 @@ def sweep(
     from probedesign.design import load_design
     from probedesign.optimization import sweep as grid
     from probedesign.optimization.sweep import parse_axis
-    from probedesign.reports.sweep_page import read_sweep, sweep_page
+    from probedesign.reports.sweep_page import sweep_page
 
     axes = [parse_axis(text) for text in vary]
     keys, start = [axis.key for axis in axes], load_design(design)
     task = (options or TaskOptions()).task(start.probe.axis != "straight" or any("axis" in key for key in keys))
-    other = None if beside is None else (str(beside), read_sweep(beside, keys))
     try:
         with show_progress() as on_progress:
             folder, count = out or exports_of(design) / start.name / "sweep", workers or os.cpu_count() or 1
@@ -125,7 +119,7 @@ def sweep(
     for note in swept.notes:
         print_note(note)
     page = folder / "sweep.html"
-    write_atomically(page, sweep_page(swept.records, keys, task.text, other))
+    write_atomically(page, sweep_page(swept.records, keys, task.text))
     swept.files.append(page)
     if as_json:
         print_json({"task": task, "computed": swept.computed, "files": swept.files, "points": swept.records})

@@ -22,7 +22,6 @@ from probedesign.reports.html_page import REPORT_STYLE, ReportFigure, labelled, 
 if TYPE_CHECKING:
     from probedesign.estimation.estimator import Estimator
     from probedesign.live.run import RecordingEstimates
-    from probedesign.prediction.predict import Prediction
     from probedesign.probe import Probe
 
 NAME = "demo"
@@ -137,7 +136,8 @@ def run_demo(folder: Path, force: bool, show: Callable[[str], object]) -> dict[s
     show(page.absolute().as_uri())
     begin("predicting (the first run compiles the rod and the estimator, half a minute)")
     prediction = pipeline.predict(probe)
-    made |= _predict(probe, prediction, folder, skipped)
+    for file in write_files(folder, prediction_files(probe, prediction)):
+        made[str(file)] = "predicted sensitivity and contact error"
     begin("bending the probe to a whisker")
     made |= _whisker(probe, folder, finish)
     begin("freezing the estimator and its geometry")
@@ -207,13 +207,6 @@ def _whisker(straight: "Probe", folder: Path, finish: Callable[..., None]) -> di
     write_files(folder, [("comparison.html", report_page("Straight or curved", [], None, [figure], verdict=text))])
     finish("whisker", f"{text} {caption}", labelled(chart, SECTIONS["whisker"][0]), [(path.name, "its design file")])
     return {str(path): "the same probe along an arc", str(folder / "comparison.html"): "both errors beside each other"}
-
-
-def _predict(probe: "Probe", prediction: "Prediction", folder: Path, skipped: list[str]) -> dict[str, str]:
-    files = write_files(folder, prediction_files(probe, prediction))
-    if not any(file.suffix == ".png" for file in files):
-        skipped.append(str(MissingDependencyError.of_extra("a plot", "matplotlib", "plots")))
-    return {str(file): "predicted sensitivity and contact error" for file in files}
 
 
 def _export(probe: "Probe", folder: Path, skipped: list[str]) -> dict[str, str]:

@@ -13,10 +13,8 @@ from probedesign.cli.options import JsonOutput
 #: Features that each extra of `all`, and `notebook`, enables; "" is for the required packages.
 ENABLES = {
     "": "everything",
-    "plots": "plots of predict",
     "notebook": "plots and data frames of results in a notebook",
     "sweep": "sweep --scheduler: grids of designs on several machines",
-    "optimize": "Pareto fronts of optimize",
     "cad": "export: STL, STEP and 3MF of the parts to print",
     "live": "live with a Net F/T box, MCAP recordings, ROS 2 bags",
     "msgpack": "live with datagrams in MessagePack",

@@ -1,7 +1,6 @@
 """`probedesign optimize`: optimize the shape of a probe for a task."""
 
 import math
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -17,10 +16,9 @@ from probedesign.core.units import format_value
 if TYPE_CHECKING:
     from probedesign.core.parallel import OnProgress
     from probedesign.optimization.constraints import OptimizationProblem
-    from probedesign.optimization.optimum import MonteCarloCheck, OptimizeResult, Optimum, ParetoFront
+    from probedesign.optimization.optimum import MonteCarloCheck, OptimizeResult, Optimum
 
 DISTINCT = 3.0  #: Standard deviations between places, as in `distinction`, below which a search is warned about.
-MAX_SHOWN_CASES = 6  #: Cases with a larger error than the start's that are printed.
 MAX_SAG = 0.2  #: Largest sag of an advised design over its reach (assumed).
 #: Further limits of an advised design: touches stay where they are, prints vary (assumed).
 ADVISED = ("slide_mm<=1", "buckling_margin>=2", "print_warnings<=0")
@@ -37,7 +35,6 @@ def optimize(
     over: Annotated[list[Over] | None, Parameter(negative=(), consume_multiple=True)] = None,
     options: TaskOptions | None = None,
     confirm: int = 0,
-    pareto: int = 0,
     seed: int = 1,
     out: Path | None = None,
     force: bool = False,
@@ -57,31 +54,27 @@ def optimize(
         options: the task.
         confirm: check the result by a Monte Carlo simulation with this number of samples per case, with all error
             sources and friction.
-        pareto: evaluate this number of cones for the Pareto front of error, force and reach; needs the extra
-            'optimize'.
-        seed: seed of Monte Carlo simulation and Pareto front.
+        seed: seed of the Monte Carlo simulation.
         out: output design file. Default: designs/NAME-best.toml.
         force: replace an existing output file.
     """
     from probedesign.design import load_design
     from probedesign.optimization.constraints import OptimizationProblem, parse_limit
 
-    for name, count in (("--confirm", confirm), ("--pareto", pareto)):
-        if not 0 <= count <= 100_000:
-            raise InputError(f"{name} {count} must lie in 0 ... 100000")
+    if not 0 <= confirm <= 100_000:
+        raise InputError(f"--confirm {confirm} must lie in 0 ... 100000")
     limits = [parse_limit(text) for text in subject_to or []]
     start = load_design(design)
     free: tuple[Over, ...] = tuple(over or ["cone"])
     task = (options or TaskOptions()).task("axis" in free or start.probe.axis != "straight")
     search = OptimizationProblem(start, free, task, goal, error_mm, tuple(limits))
+    out = out or Path("designs") / f"{start.name}-best.toml"
     with show_progress() as on_progress:
-        result = _run(
-            search, out or Path("designs") / f"{start.name}-best.toml", force, confirm, pareto, seed, on_progress
-        )
+        result = _run(search, out, force, confirm, seed, on_progress)
     if as_json:
         print_json(result.as_dict())
     else:
-        _print(result.optimum, result.confirmed, result.front)
+        _print(result.optimum, result.confirmed)
         print("wrote", ", ".join(map(str, result.files)))
 
 
@@ -152,7 +145,7 @@ def advise(
     limited = tuple(map(parse_limit, limits))
     search = OptimizationProblem(start, ("cone", "length"), task, "error-at-force", None, limited)
     with show_progress() as on_progress:
-        result = _run(search, Path("designs") / f"{start.name}.toml", force, 0, 0, 1, on_progress)
+        result = _run(search, Path("designs") / f"{start.name}.toml", force, 0, 1, on_progress)
     if as_json:
         print_json(result.as_dict())
         return
@@ -161,33 +154,23 @@ def advise(
         f"Five touches of up to {force_mN:g} mN locate a point within {after.error_mm:.2g} mm RMS or better; at 0.8 of "
         f"the length one reading of {after.detectable_mN:.2g} mN is felt. Its stiffness is not measured yet."
     )
-    _print(result.optimum, None, None)
+    _print(result.optimum, None)
     print("wrote", ", ".join(map(str, result.files)))
 
 
 def _run(
-    search: "OptimizationProblem",
-    path: Path,
-    force: bool,
-    draws: int,
-    trials: int,
-    seed: int,
-    on_progress: "OnProgress",
+    search: "OptimizationProblem", path: Path, force: bool, draws: int, seed: int, on_progress: "OnProgress"
 ) -> "OptimizeResult":
-    """Write the optimum to `path`, checked by Monte Carlo simulation, with its Pareto front and a comparison.
-
-    `draws` are the samples per case and `trials` the cones of the front; 0 is for none.
-    """
+    """Write the optimum to `path` with a comparison, checked by a Monte Carlo simulation of some draws per case."""
     from probedesign import pipeline
     from probedesign.design.io import write_design
-    from probedesign.optimization.optimum import OptimizeResult, check_installed, design_text, pareto_front
+    from probedesign.optimization.optimum import OptimizeResult, design_text
     from probedesign.probe import build_probe
+    from probedesign.reports.comparison_page import compare, comparison_page
     from probedesign.web.home import refresh_home
 
     check_overwrite(path, force)
     check_writable(path)  # before the search, which takes a minute
-    if trials:
-        check_installed()
     best = pipeline.optimize(search, path.stem, on_progress)
     write_design(design_text(search, best), path, force)  # first: the steps below may be interrupted or fail
     refresh_home(build_probe(best.design).model, path)
@@ -195,22 +178,14 @@ def _run(
     try:
         if draws:
             confirmed = pipeline.confirm(search, best, draws, seed, on_progress)
-        front = pareto_front(search, trials, seed, on_progress, best) if trials else None
     except InputError as error:
         raise InputError(f"{path} is written, but {error}") from None
-    if front is not None:
-        files += write_files(path.parent, [(f"{path.stem}-front.csv", front.csv())])
-    if find_spec("matplotlib") is not None:
-        from probedesign.reports.comparison_page import compare, comparison_page
-
-        page = comparison_page(compare([search.start, best.design], best.task), best.task)
-        files += write_files(path.parent, [(f"{path.stem}-compared.html", page)])
-    return OptimizeResult(search, best, confirmed, front, tuple(files))
+    page = comparison_page(compare([search.start, best.design], best.task), best.task)
+    files += write_files(path.parent, [(f"{path.stem}-compared.html", page)])
+    return OptimizeResult(search, best, confirmed, tuple(files))
 
 
-def _print(
-    best: "Optimum", confirmed: "tuple[MonteCarloCheck | None, MonteCarloCheck] | None", front: "ParetoFront | None"
-) -> None:
+def _print(best: "Optimum", confirmed: "tuple[MonteCarloCheck | None, MonteCarloCheck] | None") -> None:
     print(f"{best.design.name}: {best.task.text}")
     before, after = best.before.as_dict(), best.after.as_dict()
     rows = [[name, format_value(before[name]), format_value(after[name])] for name in after
@@ -229,18 +204,5 @@ def _print(
                   f"{check.bound_mm:.3g} mm; {check.located} of {check.drawn} located, {check.inside} of them "
                   "inside their 95 % ellipsoid")  # fmt: skip
     print(f"  active constraints: {', '.join(best.active_constraints) or 'none'}")
-    ranked = sorted(best.worse, key=lambda row: (row.best_error_mm or math.inf) / row.start_error_mm, reverse=True)
-    for case in ranked[:MAX_SHOWN_CASES]:
-        error = "buckles" if case.best_error_mm is None else f"{case.best_error_mm:.3g} mm"
-        gravity = ",".join(f"{g:g}" for g in case.gravity_base_m_s2)
-        print(f"  larger error than the start at {case.contact_fraction:g} of the length, {1e3 * case.force_N:g} mN, "
-              f"gravity {gravity} m/s², direction {case.direction_deg:.3g}°: {error}, "
-              f"start {case.start_error_mm:.3g} mm")  # fmt: skip
-    if len(ranked) > MAX_SHOWN_CASES:
-        print(f"  and in {len(ranked) - MAX_SHOWN_CASES} more cases; --json lists all")
     print(f"  {best.n_evaluations} designs evaluated from {len(best.starts)} starts, objective: "
           f"{', '.join('infeasible' if v is None else f'{v:.4g}' for v in best.starts)}")  # fmt: skip
-    if front is not None:
-        print(f"\nPareto front: {len(front.rows)} of {front.n_evaluations} cones")
-        shown = front.rows[:: max(1, len(front.rows) // 12)]
-        print_columns(list(front.rows[0]), [[f"{value:.4g}" for value in row.values()] for row in shown])

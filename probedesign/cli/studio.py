@@ -15,7 +15,6 @@ def studio(
     design: str = "large",
     /,
     *,
-    set_: Annotated[list[str] | None, Parameter(name="--set", negative=(), consume_multiple=False)] = None,
     host: str = "127.0.0.1",
     port: int = 8085,
     open_: Annotated[bool, Parameter(name="--open", negative="--no-open")] = True,
@@ -26,7 +25,6 @@ def studio(
 
     Args:
         design: the design file, or its name, or one of the paper's probes: large, medium or small.
-        set_: KEY=VALUE with a key of the design file, as the studio shows it under "Save"; repeat the option for more.
         host: address of the page; only this machine can open it.
         port: TCP port; the next free port is used.
         open_: open the page in a browser.
@@ -41,11 +39,9 @@ def studio(
     with show_progress() as on_progress:
         on_progress("loading the design", None)
         from probedesign.design import load_design
-        from probedesign.design.edit import tables_of
-        from probedesign.studio.session import Session, with_options
+        from probedesign.studio.session import Session
 
-        start = load_design(design_file(Path(design)))
-        session = Session(with_options(start, set_ or []), source=design, start=tables_of(start))
+        session = Session(load_design(design_file(Path(design))))
         on_progress("predicting (the first run compiles the rod and the estimator, half a minute)", None)
         from probedesign.studio.page import StudioPage
 

@@ -1,11 +1,8 @@
 """`probedesign validate`: compare a frozen probe's estimates with a reference."""
 
 from collections.abc import Iterator, Sequence
-from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
-
-from cyclopts import Parameter
+from typing import TYPE_CHECKING, Any
 
 from probedesign.cli.console import json_bytes, print_columns, print_json, print_note, show_progress, write_files
 from probedesign.cli.options import JsonOutput, frozen_probe
@@ -25,12 +22,11 @@ def validate(
     out: Path | None = None,
     exact_model: bool = False,
     include_identified: bool = False,
-    plots: Annotated[bool | None, Parameter(negative="--no-plots")] = None,
     as_json: JsonOutput = False,
 ) -> None:
     """Compare estimates with a reference: shape RMS, contact error and coverage of the stated covariance.
 
-    Writes validation.json, .csv, .html and .png; for several probes also table1.csv. See docs/measurements.md.
+    Writes validation.json, .csv and .html; for several probes also table1.csv. See docs/measurements.md.
 
     Args:
         bundles_and_data: the frozen probe, NAME.probe.json or its name, and the folder of a campaign; then the same of
@@ -40,7 +36,6 @@ def validate(
             prior remain. Default: all tolerances of BUNDLE.
         include_identified: judge also tests that the parameters of BUNDLE were identified from. Default: these are
             listed and left out of the verdict and the means.
-        plots: write page and picture. Default: the page, and the picture if matplotlib is installed.
     """
     from probedesign import pipeline
     from probedesign.campaigns import read_campaign
@@ -59,7 +54,7 @@ def validate(
             check_writable(folder / "validation.json")
             report = pipeline.validate(estimator, campaign, exact_model, on_progress, include_identified)
             on_progress("drawing", None)
-            files += write_files(folder, list(_files(report, plots)))  # all or none, if a picture cannot be drawn
+            files += write_files(folder, _files(report))
             if out is None:
                 refresh_home(estimator.model)
             reports.append(report)
@@ -83,17 +78,12 @@ def _pairs(paths: tuple[Path, ...]) -> list[tuple[Path, Path]]:
     return [(frozen_probe(bundle), data) for bundle, data in zip(paths[::2], paths[1::2], strict=True)]
 
 
-def _files(report: "ValidationReport", plots: bool | None) -> Iterator[tuple[str, bytes]]:
+def _files(report: "ValidationReport") -> Iterator[tuple[str, bytes]]:
     yield "validation.json", json_bytes(report.as_dict())
     yield "validation.csv", report.csv()
-    if plots is not False:
-        from probedesign.reports.validation_page import validation_page
+    from probedesign.reports.validation_page import validation_page
 
-        yield "validation.html", validation_page(report)
-        if plots or find_spec("matplotlib") is not None:
-            from probedesign.reports.png import draw_validation
-
-            yield "validation.png", draw_validation(report)
+    yield "validation.html", validation_page(report)
 
 
 def _prefix(report: "ValidationReport", reports: "Sequence[ValidationReport]") -> str:

@@ -169,9 +169,9 @@ class Journal:
         if records and records[0] != request:
             different = [key for key in request if records[0].get(key) != request[key]]
             what = f"other {', '.join(different)}" if different else "of another version"
-            raise InputError(f"{path}: contains results of another sweep ({what}); name another folder with --out")
+            raise InputError(f"{path}: contains results of another run ({what}); name another folder with --out")
         if valid < len(content):
-            notes.append(f"{path}: an incomplete record at the end was dropped; its design is computed again")
+            notes.append(f"{path}: an incomplete record at the end was dropped; it is computed again")
         results = {int(record["point"]): record for record in records[1:]}
         return cls(path, request, results, notes, valid)
 
@@ -232,6 +232,6 @@ def _complete_records(content: bytes, path: Path) -> tuple[list[Record], int]:
         valid += len(line)
     left = content[valid:].count(b"\n")
     if left > 1 or (content and not records and left):
-        wrong = f"line {len(records) + 1} is not a record of a sweep"
+        wrong = f"line {len(records) + 1} is not a record of results"
         raise InputError(f"{path}: {wrong}; move the file away, or repair it")
     return records, valid

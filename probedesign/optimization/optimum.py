@@ -1,16 +1,15 @@
-"""Optimisation of a design from several starts, its Monte Carlo check, and Pareto fronts."""
+"""Optimisation of a design from several starts, and its Monte Carlo check."""
 
 import itertools
 import math
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from probedesign.core import csv_tables
-from probedesign.core.errors import InputError, require
+from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
 from probedesign.core.parallel import OnProgress, process_map
 from probedesign.core.units import MM
@@ -19,40 +18,16 @@ from probedesign.design.edit import tables_of
 from probedesign.design.io import render_design
 from probedesign.estimation.model import ProbeModel
 from probedesign.optimization.constraints import FORCES, SPARE, NonlinearProgram, OptimizationProblem
-from probedesign.optimization.design_space import DIGITS, DesignSpace
-from probedesign.optimization.objective import (
-    COMPARED_FRACTIONS,
-    DesignMetrics,
-    Task,
-    Vector,
-    design_metrics,
-    predict_task,
-)
+from probedesign.optimization.design_space import DIGITS
+from probedesign.optimization.objective import DesignMetrics, Task, design_metrics, predict_task
 from probedesign.prediction.monte_carlo import PrintSamples, locate_draws
 from probedesign.probe import build_probe
 
-if TYPE_CHECKING:
-    from optuna.trial import Trial as Drawn
-
-
 STARTS = (1.0, 0.6)  #: Factors on the diameters of the design, one start each.
-AROUND = (0.5, 1.0, 2.0)  #: Factors on the task's forces at which they are compared.
 #: Axes from which an optimisation over the axis starts: total bend, turns and azimuth [deg].
 BENDS_DEG, TURNS, AZIMUTHS_DEG = (60.0, 100.0, 160.0), (0.0, 0.5, 1.0), tuple(45.0 * k for k in range(8))
 #: Factor on the diameters of a start that buckles, and maximum number of times: its metrics have no gradient.
 _THICKER, _TIMES = 1.25, 8
-
-
-@dataclass(frozen=True)
-class WorseCase:
-    """A position and force at which the optimum has a larger error than the start."""
-
-    contact_fraction: float  #: arclength of the touched section over the length.
-    force_N: float  #: normal force; of several touches the largest.
-    gravity_base_m_s2: Vector  #: gravity in base axes.
-    direction_deg: float  #: of the push, about the tangent from the section's X axis.
-    start_error_mm: float  #: RMS error of the start.
-    best_error_mm: float | None  #: of the optimum; None where it buckles.
 
 
 @dataclass(frozen=True)
@@ -67,9 +42,6 @@ class Optimum:
     n_evaluations: int  #: number of designs computed.
     #: result of each start: error [mm] or force over the task's; None where it is infeasible.
     starts: tuple[float | None, ...]
-    #: cases in which the optimum has an error more than 1 % larger than the start, over positions and forces around
-    #: those of the task.
-    worse: tuple[WorseCase, ...] = ()
 
 
 def optimum(search: OptimizationProblem, name: str, on_progress: OnProgress) -> Optimum:
@@ -87,16 +59,8 @@ def optimum(search: OptimizationProblem, name: str, on_progress: OnProgress) -> 
             designs.append(_named(cones.problem, _solve(cones.problem, designs, on_progress)[0], "cone"))
     x, values = _solve(problem, designs, on_progress)
     best, task = _named(problem, x, name), problem.evaluator.task_at(x)
-    forces = tuple(sorted({factor * force for force in task.forces_N for factor in AROUND}))
-    wide = replace(task, fractions=tuple(sorted({*COMPARED_FRACTIONS, *task.fractions})), forces_N=forces)
-    before, after = (predict_task(build_probe(design).model, wide, slipping=False) for design in (search.start, best))
-    worse = tuple(
-        WorseCase(*case, was / MM, now / MM if math.isfinite(now) else None)
-        for case, was, now in zip(before.cases, before.errors, after.errors, strict=True)
-        if math.isfinite(was) and not now <= 1.01 * was
-    )
     return Optimum(best, task, design_metrics(search.start, task), design_metrics(best, task),
-                   problem.active_constraints(x), problem.evaluator.n_evaluations, values, worse)  # fmt: skip
+                   problem.active_constraints(x), problem.evaluator.n_evaluations, values)  # fmt: skip
 
 
 def _named(problem: NonlinearProgram, x: Array, name: str) -> Design:
@@ -242,99 +206,6 @@ def _errors(chunk: _Chunk) -> Array:
     return np.array(rows, dtype=float)
 
 
-# Pareto front
-
-
-POPULATION = 40
-MAX_BASE_D_MM = 25.0  #: Largest base diameter tried: wider than the sensor, and no softer for it.
-LENGTHS_MM = (60.0, 200.0)
-_VARIABLES = ("base_d_mm", "tip_d_mm", "length_mm", "force_mN", "error_mm", "reach_mm", "sag_mm")
-
-
-@dataclass(frozen=True)
-class ParetoFront:
-    """Designs of which none is better than another in all objectives."""
-
-    rows: list[dict[str, float]]  #: one per design: `_VARIABLES`, by increasing error.
-    n_evaluations: int  #: number of designs computed.
-
-    def csv(self) -> bytes:
-        """Return the front as a CSV table."""
-        return csv_tables.write(_VARIABLES, self.rows)
-
-
-def check_installed() -> None:
-    """Check that optuna is installed, before a long search begins.
-
-    Raises:
-        MissingDependencyError: optuna is not installed.
-    """
-    require("optuna", "--pareto", "optimize")
-
-
-def pareto_front(
-    search: OptimizationProblem, trials: int, seed: int, on_progress: OnProgress, best: Optimum | None = None
-) -> ParetoFront:
-    """Return feasible cones of any length: smallest error, smallest force, largest reach.
-
-    Args:
-        search: start, task and limits; base, tip, length and force vary.
-        trials: number of designs to evaluate.
-        seed: of the search.
-        on_progress: receives the completed fraction.
-        best: an optimum found before; evaluated first if it is a cone.
-
-    Raises:
-        MissingDependencyError: optuna is not installed.
-        InputError: no evaluated design satisfies the limits.
-    """
-    check_installed()
-    import optuna
-
-    optuna.logging.set_verbosity(optuna.logging.ERROR)
-    space = DesignSpace.of(search.start, ("cone", "length"))
-    problem = search.program(space, with_force=True)
-    sampler = optuna.samplers.NSGAIISampler(population_size=min(POPULATION, max(trials, 2)), seed=seed)
-    study = optuna.create_study(directions=["minimize", "minimize", "maximize"], sampler=sampler)
-    if best is not None and best.design.probe.shape == "cone":
-        study.enqueue_trial(_known(best.design, best.task.force_N / search.task.force_N))
-    study.enqueue_trial(_known(search.start, 1.0))
-    study.optimize(lambda drawn: _evaluate(problem, drawn), n_trials=trials,
-                   callbacks=[lambda _, t: on_progress("Pareto front", (t.number + 1) / trials)])  # fmt: skip
-    kept = {trial.values[0]: trial for trial in study.best_trials if trial.user_attrs["feasible"]}
-    if not kept:
-        raise InputError(f"none of {trials} designs satisfies every limit; evaluate more, or relax --subject-to")
-    rows = [{name: float(t.user_attrs["row"][name]) for name in _VARIABLES} for t in kept.values()]
-    return ParetoFront(sorted(rows, key=lambda row: row["error_mm"]), trials)
-
-
-def _known(design: Design, force: float) -> dict[str, float]:
-    probe = design.probe
-    tip = probe.blunt_mm[-1][1]
-    low, high = FORCES
-    return {"base_d_mm": probe.base_d_mm, "taper": min(tip / probe.base_d_mm, 1.0), "length_mm": probe.length_mm,
-            "force": min(max(force, low), high)}  # fmt: skip
-
-
-def _evaluate(problem: NonlinearProgram, drawn: "Drawn") -> tuple[float, float, float]:
-    base = drawn.suggest_float("base_d_mm", 2.0, MAX_BASE_D_MM, log=True)
-    tip = base * drawn.suggest_float("taper", 0.05, 1.0, log=True)
-    length = drawn.suggest_float("length_mm", *LENGTHS_MM)
-    force = drawn.suggest_float("force", *FORCES, log=True)
-    x: Array = np.array([base, tip, length / 10.0, np.log(force)])
-    metrics = problem.evaluator.metrics(x)
-    # The margin that the search reserves for rounding may be used up by the optimum.
-    broken = {c.text: -c.min_margin(x) - SPARE for c in problem.constraints}
-    broken["stable"] = 0.0 if problem.evaluator.is_stable(x) else 1.0
-    for text, by in broken.items():
-        drawn.set_constraint(text, by)
-    drawn.set_user_attr("feasible", max(broken.values()) <= 0.0)
-    kept = {name: metrics[name] for name in ("error_mm", "reach_mm", "sag_mm", "length_mm")}
-    force_mN = 1e3 * problem.evaluator.task_at(x).force_N
-    drawn.set_user_attr("row", {"base_d_mm": base, "tip_d_mm": tip, "force_mN": force_mN, **kept})
-    return metrics["error_mm"], force_mN, metrics["reach_mm"]
-
-
 # Result
 
 
@@ -346,7 +217,6 @@ class OptimizeResult:
     optimum: Optimum  #: the best design.
     #: Monte Carlo check of start and optimum; None if not requested, or for a start that buckles.
     confirmed: tuple[MonteCarloCheck | None, MonteCarloCheck] | None
-    front: ParetoFront | None  #: Pareto front; None if not requested.
     files: tuple[Path, ...] = ()  #: written.
 
     def as_dict(self) -> dict[str, Any]:
@@ -363,9 +233,7 @@ class OptimizeResult:
             "design": tables_of(best.design),
             "binding": list(best.active_constraints),
             "bodies_looked_at": best.n_evaluations,
-            "worse_than_start": [asdict(row) for row in best.worse],
             "confirmed": confirmed or None,
-            "front": None if self.front is None else self.front.rows,
             "files": [str(file) for file in self.files],
         }
 

@@ -1,1 +1,1 @@
-"""Prediction of contact errors, forces and workspace of a design before it is printed."""
+"""Prediction of contact errors and forces of a design before it is printed."""

@@ -30,8 +30,8 @@ from probedesign.estimation.fusion import Fusion, Reading
 from probedesign.estimation.fusion_state import channels_of
 from probedesign.estimation.model import ProbeModel, Tolerances, covariance
 from probedesign.prediction.budget import radius_95
+from probedesign.prediction.thresholds import ACCURACIES_MM, force_for_accuracy
 from probedesign.prediction.touches import Touches
-from probedesign.prediction.workspace import ACCURACIES_MM, force_for_accuracy
 from probedesign.rod.kernels.surface_contact import POINT, VALUE
 
 MAX_TOUCHES = 20

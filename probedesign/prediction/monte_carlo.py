@@ -9,8 +9,8 @@ priors that it was drawn from. All conditions share the same print samples.
 import hashlib
 import json
 import math
-import time
 from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -19,9 +19,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from probedesign.core.errors import InputError
-from probedesign.core.files import write_atomically
 from probedesign.core.frames import Array, inverse, pose, wrench_map
-from probedesign.core.parallel import process_map
+from probedesign.core.parallel import Journal, fingerprint, process_map
 from probedesign.core.statistics import max_chi2
 from probedesign.core.units import MM
 from probedesign.estimation.error_sources import BEFORE_KNOTS, parameters_of, turns_of
@@ -198,7 +197,6 @@ def perturbed_rod(rod: Rod, by: Array) -> Rod:
 
 #: Relative difference between Monte Carlo and first order that is flagged, beyond two standard errors.
 MAX_DIFFERENCE = 0.10
-SAVE_EVERY_S = 2.0  #: Interval at which the checkpoint is saved.
 MAX_DRAWS = 1_000_000
 #: Results whose best candidate is counted; without "inconsistent" the draws would be selected by their error.
 LOCATED_RESULTS = ("ok", "inconsistent")
@@ -228,15 +226,14 @@ class MonteCarloPlan:
 
     @property
     def key(self) -> str:
-        """Return the hash of the plan, twelve hex digits."""
+        """Return the fingerprint of the plan."""
         model, rod = self.model, self.model.rod
         numbers = [*rod.body, rod.rigid_length, model.gravity_base, model.T_sensor_base, model.wrench_range,
                    *((model.noise.force, model.noise.moment) if model.noise.is_isotropic else model.noise.cov),
                    model.averaging_samples, model.payload.mass, model.payload.p_com]  # fmt: skip
-        text = json.dumps([[np.asarray(n, dtype=float).ravel().tolist() for n in numbers], rod.rounded_from,
-                           rod.factors, asdict(self.tolerances), self.draws, self.seed,
-                           asdict(self.pressing), model.friction, 3])  # fmt: skip
-        return hashlib.sha256(text.encode()).hexdigest()[:12]
+        plain = [np.asarray(n, dtype=float).ravel().tolist() for n in numbers]
+        settings = asdict(self.tolerances), self.draws, self.seed, asdict(self.pressing), model.friction, 3
+        return fingerprint([plain, rod.rounded_from, rod.factors, *settings])
 
     def sample_condition(self, touch: Touch, samples: PrintSamples) -> dict[str, Any]:
         """Return the summary of the errors of one condition over all samples."""
@@ -337,7 +334,7 @@ def run_monte_carlo(
     Args:
         plan: what to draw.
         prediction: of the same probe.
-        folder: for the checkpoint, with which an interrupted run resumes; None: no checkpoint.
+        folder: for the journal, with which an interrupted run resumes; None: no journal.
         progress: receives the completed fraction.
         workers: processes; all cores if None, only this one if 1.
         fused: conditions of fused touches; each draw takes some hundred times as long as for a single touch.
@@ -346,30 +343,28 @@ def run_monte_carlo(
         Results of the sampled conditions.
 
     Raises:
-        InputError: the checkpoint cannot be read.
+        InputError: the journal cannot be read or written.
         KeyboardInterrupt: with the number of completed conditions.
     """
-    path = None if folder is None else folder / f"monte-carlo-{plan.key}.json"
     conditions: tuple[Condition | FusedCondition, ...] = (*prediction.conditions, *fused)
-    wanted = {_name(touch): touch for touch in map(_touch, conditions) if touch}
-    done = {name: row for name, row in _load_checkpoint(path).items() if name in wanted}
-    left, saved = {name: touch for name, touch in wanted.items() if name not in done}, time.monotonic()
+    touches = {i: touch for i, condition in enumerate(conditions) if (touch := _touch(condition)) is not None}
+    request = {"schema": 1, "plan": plan.key, "touches": [list(touch) for touch in touches.values()]}
+    journal = None if folder is None else Journal.open(folder / f"monte-carlo-{fingerprint(request)}.jsonl", request)
+    done = {} if journal is None else journal.results
+    left = [i for i in touches if i not in done]
     try:
-        names = list(left)
-        computed = process_map(_sample_in_worker, left.values(), workers, _initialize, (plan,), preload=[__name__])
-        for i, row in computed:
-            done[names[i]] = row
-            progress(len(done) / max(len(wanted), 1))
-            if path and time.monotonic() - saved > SAVE_EVERY_S:
-                _save_checkpoint(path, done)
-                saved = time.monotonic()
+        with nullcontext() if journal is None else journal.appending() as appender:
+            tasks = [touches[i] for i in left]
+            computed = process_map(_sample_in_worker, tasks, workers, _initialize, (plan,), preload=[__name__])
+            for k, row in computed:
+                done[left[k]] = row
+                if appender is not None:
+                    appender.add({"point": left[k], **row})
+                progress(len(done) / max(len(touches), 1))
     except KeyboardInterrupt:
-        kept = f"; {len(done)} of {len(wanted)} conditions are saved, the same command resumes" if path else ""
+        kept = f"; {len(done)} of {len(touches)} conditions are saved, the same command resumes" if journal else ""
         raise KeyboardInterrupt(f"interrupted{kept}") from None
-    finally:
-        if path and done:
-            _save_checkpoint(path, done)
-    return tuple(_result(plan, c, done[name]) for c in conditions if (name := _name(_touch(c))) in done)
+    return tuple(_result(plan, conditions[i], done[i]) for i in touches)
 
 
 _worker_state: tuple[MonteCarloPlan, PrintSamples] | None = None  #: Plan and print samples of a worker process.
@@ -408,30 +403,3 @@ def _touch(condition: Condition | FusedCondition) -> Touch | None:
 
 def _touches(condition: Condition | FusedCondition) -> int:
     return condition.touches if isinstance(condition, FusedCondition) else 1
-
-
-def _name(touch: Touch | None) -> str:
-    return json.dumps(touch)
-
-
-def _load_checkpoint(path: Path | None) -> dict[str, dict[str, Any]]:
-    """Return the conditions that an earlier run completed.
-
-    Raises:
-        InputError: the file is not a checkpoint.
-    """
-    if path is None or not path.exists():
-        return {}
-    try:
-        rows = json.loads(path.read_bytes())["conditions"]
-        for row in rows.values():
-            _ = int(row["located"]), int(row["inside"])
-            _ = [float(row[k] or 0.0) for k in ("error", "error_95", "standard_error")]
-    except (OSError, ValueError, TypeError, KeyError, AttributeError):
-        raise InputError(f"{path}: is not a Monte Carlo checkpoint; remove it to start again") from None
-    return dict(rows)
-
-
-def _save_checkpoint(path: Path, done: dict[str, dict[str, Any]]) -> None:
-    document = {"schema": 1, "unit": "m", "conditions": done}
-    write_atomically(path, (json.dumps(document, indent=0) + "\n").encode())

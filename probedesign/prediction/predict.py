@@ -30,8 +30,8 @@ from probedesign.prediction.fused import (
     fused_reach,
     worst,
 )
+from probedesign.prediction.thresholds import LADDER_N, ForceThresholds, force_thresholds
 from probedesign.prediction.touches import Touches, check_grid, directions_of, touches_of
-from probedesign.prediction.workspace import LADDER_N, ForceThresholds, Workspace, force_thresholds, workspace_of
 from probedesign.rod.equilibrium import Equilibrium
 from probedesign.rod.rod import Rod
 
@@ -52,7 +52,7 @@ CAUSE_GROUPS = {
     "mount": ("base place", "base tilt", "clocking", "pose", "root", "gain"),
     "weight": ("density", "gravity"),
 }
-PRESSING, NO_WORKSPACE = PressSchedule(), Workspace()
+PRESSING = PressSchedule()
 _WEAK_N = 1e-6  # small enough for the response to be linear
 
 
@@ -157,7 +157,6 @@ class Prediction(Tabular):
     fused: tuple[FusedCondition, ...] = ()  #: the same grid, each point touched several times and fused.
     fused_reach: tuple[FusedForceThresholds, ...] = ()  #: force thresholds of fused touches.
     pressing: PressSchedule = PRESSING  #: how they are made.
-    workspace: Workspace = NO_WORKSPACE  #: reachable contact points with a fixed base.
     monte_carlo: tuple[MonteCarloResult, ...] = ()  #: of the conditions that are located; empty if none was run.
     resin: str = ""  #: name of the resin; empty if unknown.
     #: what an hour on the bench gains; None if the stiffness is known as well already, and in a preview.
@@ -237,8 +236,8 @@ def predict(
         directions: in which the object pushes, see `angle_of`; those of `directions_of` the probe if None.
         tolerances: standard deviations of the error sources; `Tolerances.of` the model if None.
         pressing: how the fused touches of one point are made.
-        only_single: leave out radii of 95 %, fused touches, force thresholds and workspace, for a preview within tens
-            of milliseconds.
+        only_single: leave out radii of 95 %, fused touches, and force thresholds, for a preview within tens of
+            milliseconds.
         on_progress: receives the step and its share some tens of times a second; an exception that it raises ends the
             prediction.
 
@@ -253,7 +252,7 @@ def predict(
     lines = [(fraction, direction) for fraction in fractions for direction in directions]
     ends = [(end, direction) for direction in directions if (end, direction) not in lines]
     # What holds for a probe without a stable free equilibrium, and what a preview leaves out.
-    workspace, gain, over = NO_WORKSPACE, None, tuple[ErrorOverDirections, ...]()
+    gain, over = None, tuple[ErrorOverDirections, ...]()
     reach = tuple(ForceThresholds(*line, None, None, None, None, "gives_way", None) for line in lines)
     detection = tuple(Detection(*line, None) for line in lines)
     conditions = {(*line, force): Condition(line[0], force, line[1], "gives_way")
@@ -276,7 +275,6 @@ def predict(
             reach = force_thresholds(lines + ends, {f: touches[f] for f in LADDER_N}, end)[: len(lines)]
             limits = [row.greatest_force_N for row in reach]
             fused = fused_conditions(lines, touches, forces_N, pressing, on_progress)
-            workspace = workspace_of(reach, touches, model.gravity_base)
             gain = _bench_gain(estimator, fractions, directions, pressing)
         detection = tuple(
             _detection(touches[_WEAK_N], i, line, limit)
@@ -301,7 +299,6 @@ def predict(
         tolerances=known,
         fused=fused,
         fused_reach=fused_reach(fused),
-        workspace=workspace,
         pressing=pressing,
         resin=model.resin,
         bench_gain=gain,
@@ -460,6 +457,4 @@ def along_csv(prediction: Prediction) -> bytes:
     for fused in prediction.fused_reach:
         forces = {f"fused_{k}": v for k, v in asdict(fused).items() if k.startswith("force_")}
         rows[fused.contact_fraction, fused.direction].update(forces)
-    for path in prediction.workspace.paths:
-        rows[path.contact_fraction, path.direction]["pressed_mm"] = path.pressed_mm
     return csv_tables.write(list(dict.fromkeys(k for row in rows.values() for k in row)), rows.values(), ".6g")

@@ -27,10 +27,9 @@ from probedesign.mount import build_geometry
 from probedesign.prediction.fused import worst
 from probedesign.prediction.predict import Prediction, condition_rows
 from probedesign.probe import Probe
-from probedesign.reports.chart import COLOURS, DASHES, Chart, ChartAxis
+from probedesign.reports.chart import COLOURS, DASHES, NO_LINE, Chart, ChartArea, ChartAxis, ChartLine
 from probedesign.reports.html_page import labelled
 from probedesign.reports.identification_page import residual_chart
-from probedesign.reports.png import draw_chart
 from probedesign.reports.prediction_charts import STATIONS, body_chart, error_chart
 
 if TYPE_CHECKING:
@@ -92,6 +91,45 @@ def plot_of(thing: object, ax: "Axes | None") -> "Axes":
     else:
         draw_chart(summary.chart(), ax, summary.title)
     return ax
+
+
+def draw_chart(chart: Chart, ax: "Axes", title: str) -> None:
+    """Draw a chart into matplotlib axes; boxes and labels are for the SVG alone."""
+    for element in chart.elements:
+        match element:
+            case ChartLine(x, y, colour, dashes, mark, width, _):
+                ax.plot(x, y, color=colour, lw=0.75 * width, ls=_linestyle(dashes), marker=mark, ms=4.5)
+            case ChartArea(points, colour, opacity):
+                ax.fill(*zip(*points, strict=True), color=colour, alpha=opacity, lw=0)
+            case _:
+                raise TypeError(f"matplotlib draws no {type(element).__name__} of a chart")
+    for entry in chart.legend:
+        if entry.dashes is None:
+            ax.fill([], [], color=entry.colour, alpha=0.4, lw=0, label=entry.name)
+        else:
+            style = _linestyle(entry.dashes)
+            ax.plot([], [], color=entry.colour, ls=style, marker=entry.mark, ms=4.5, label=entry.name)
+    ax.set(xlabel=chart.x.label, ylabel=chart.y.label, title=title)
+    if chart.square:  # matplotlib chooses limits that suit the shape of its axes
+        ax.set_aspect("equal", adjustable="datalim")
+    else:
+        for axis, name in ((chart.x, "x"), (chart.y, "y")):
+            ax.set(**{f"{name}scale": "log" if axis.log else "linear", f"{name}lim": (axis.low, axis.high)})
+            ax.set(**{f"{name}ticks": axis.shown_ticks, f"{name}ticklabels": axis.tick_labels})
+        ax.minorticks_off()
+        if chart.x.upright:
+            ax.tick_params(axis="x", rotation=90.0, labelsize=8.0)
+    if chart.down:
+        ax.invert_yaxis()
+    ax.grid(True, alpha=0.25)
+    if chart.legend:
+        ax.legend(fontsize=8.0)
+
+
+def _linestyle(dashes: str) -> str | tuple[float, tuple[float, ...]]:
+    if dashes == NO_LINE:
+        return "none"
+    return (0.0, tuple(0.5 * float(n) for n in dashes.split())) if dashes else "-"
 
 
 def dataframe_of(thing: object) -> "DataFrame":

@@ -21,7 +21,6 @@ from probedesign.prediction.predict import (
     shares_of,
 )
 from probedesign.prediction.touches import DIRECTIONS
-from probedesign.prediction.workspace import STEPS, Workspace
 from probedesign.reports.chart import COLOURS, DASHES, MARKS, ORDERED, Chart, ChartAxis, LegendEntry, line_colours
 from probedesign.rod.contact import solve_frictionless
 
@@ -71,18 +70,6 @@ def error_chart(prediction: Prediction) -> Chart:
 def _shown(rows: Sequence[Any]) -> list[str]:
     directions = list(dict.fromkeys(row.direction for row in rows))
     return directions if len(directions) <= len(DIRECTIONS) else [*DIRECTIONS]
-
-
-def detection_chart(prediction: Prediction) -> Chart:
-    """Return the smallest detectable force along the probe, one line per direction."""
-    felt = [d for d in prediction.detection if d.detectable_force_mN is not None]
-    chart = _along("smallest detectable force [mN]", [_number(d.detectable_force_mN) for d in felt], 1.02)
-    directions = _shown(prediction.detection)
-    for side, colour, dashes in zip(directions, COLOURS, DASHES, strict=False):
-        rows = [d for d in felt if d.direction == side]
-        forces = [_number(d.detectable_force_mN) for d in rows]
-        chart.line([d.contact_fraction for d in rows], forces, colour, dashes, "o", f"pushed along {side}")
-    return chart
 
 
 def force_chart(prediction: Prediction) -> Chart:
@@ -322,42 +309,3 @@ def bending_chart(estimator: Estimator) -> Chart:
     for dot, colour in dots:
         chart.points(dot[2] / MM, dot[across] / MM, colour, "o")
     return chart
-
-
-def workspace_chart(workspace: Workspace, across: int) -> Chart:
-    """Return the positions that the centreline's contact point reaches when pushed from two sides, seen from the third.
-
-    Args:
-        workspace: of a prediction.
-        across: axis of the pushes: 0 for ±x, seen along y; 1 for ±y, seen along x.
-    """
-    sides = {f"{sign}{'xy'[across]}": colour for sign, colour in zip("+-", COLOURS[1:3], strict=True)}
-    sheets = {}
-    for side in sides:
-        paths = sorted((p for p in workspace.paths if p.direction == side), key=lambda p: p.contact_fraction)
-        sheets[side] = np.array([path.points for path in paths]).reshape(-1, STEPS, 3)
-    if across and not len(sheets["-y"]) and "-y" in (workspace.area_mm2 or {}):
-        sheets["-y"] = sheets["+y"] * np.array([1.0, -1.0, 1.0])
-    reached = np.concatenate([*(sheet.reshape(-1, 3) for sheet in sheets.values()), np.zeros((1, 3))])
-    chart = Chart.side_view(reached[:, [2, across]], across)
-    for side, colour in sides.items():
-        if not len(sheets[side]):
-            continue
-        # The swept area between neighbouring positions, the path of each, and its end at maximum force.
-        flat = np.concatenate([np.zeros((1, STEPS, 3)), sheets[side]])[:, :, [2, across]]
-        for low, high in pairwise(flat):
-            chart.area([*map(tuple, low.tolist()), *map(tuple, high[::-1].tolist())], colour, 0.16)
-        for path in flat[1:]:
-            chart.line(path[:, 0], path[:, 1], colour, width=1.0)
-        chart.line(flat[:, -1, 0], flat[:, -1, 1], colour, mark="o", name=f"pushed along {side}")
-    free = next((sheet[:, 0] for sheet in sheets.values() if len(sheet)), np.zeros((0, 3)))
-    chart.line([0.0, *free[:, 2]], [0.0, *free[:, across]], "#000000", name="free", width=2.6)
-    return chart
-
-
-def swept_text(workspace: Workspace) -> str:
-    """Return the swept areas and the swept volume as text."""
-    areas = ", ".join(f"{side} {1e-2 * area:.0f} cm²" for side, area in (workspace.area_mm2 or {}).items())
-    if workspace.volume_mm3 is None:
-        return f"Swept area: {areas}."
-    return f"Swept area: {areas}. Swept volume over all directions: {1e-3 * workspace.volume_mm3:.0f} cm³."

@@ -1,13 +1,9 @@
 """Page of a sweep: a heat map of two keys, curves of one, parallel coordinates of more."""
 
-import csv
-import io
 import math
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
-from probedesign.core.errors import InputError
 from probedesign.core.units import format_value
 from probedesign.optimization.objective import METRICS
 from probedesign.reports.chart import COLOURS, DASHES, MARKS, ORDERED, Chart, ChartAxis, LegendEntry
@@ -22,23 +18,14 @@ SHORT = {"refused": "invalid", "gives_way": "buckles", "unobservable": "unobs.",
          "failed": "failed"}  # fmt: skip
 
 
-def sweep_page(
-    records: Sequence[Record], keys: Sequence[str], about: str, beside: tuple[str, Sequence[Record]] | None = None
-) -> bytes:
-    """Return the page of a sweep of `keys`; `beside` is a second grid of them, drawn with the same colours."""
-    grids = [("", records)] if beside is None else [("this grid", records), beside]
-    errors = [r[METRIC] for _, rows in grids for r in rows if r["result"] == "ok"]
-    figures = []
-    if errors:
-        low, high = min(errors), max(errors)
-        for name, rows in grids:
-            heading = f"{METRIC}{f', {name}' if name else ''}"
-            if len(keys) == 1:
-                figures += _curves(rows, keys[0], name)
-            elif len(keys) == 2:
-                figures.append(ReportFigure(heading, _HEAT, heat_map(rows, keys, low, high).svg()))
-            else:
-                figures.append(ReportFigure(heading, _PARALLEL, parallel_coordinates(rows, keys, low, high).svg()))
+def sweep_page(records: Sequence[Record], keys: Sequence[str], about: str) -> bytes:
+    """Return the page of a sweep of `keys`."""
+    errors, figures = [r[METRIC] for r in records if r["result"] == "ok"], list[ReportFigure]()
+    if errors and len(keys) == 1:
+        figures = _curves(records, keys[0])
+    elif errors:
+        draw, caption = (heat_map, _HEAT) if len(keys) == 2 else (parallel_coordinates, _PARALLEL)
+        figures = [ReportFigure(METRIC, caption, draw(records, keys, min(errors), max(errors)).svg())]
     best = sorted((r for r in records if r["result"] == "ok"), key=lambda r: float(r[METRIC]))[:MAX_ROWS]
     head = [*keys, *METRICS]
     table = HtmlTable(head, [[format_value(row[name]) for name in head] for row in best])
@@ -131,7 +118,7 @@ def _level(error: float, low: float, high: float) -> int:
     return len(ORDERED) - 1 - min(int(share * len(ORDERED)), len(ORDERED) - 1)
 
 
-def _curves(records: Sequence[Record], key: str, name: str) -> list[ReportFigure]:
+def _curves(records: Sequence[Record], key: str) -> list[ReportFigure]:
     figures = []
     x = [record[key] for record in records]
     numeric = all(isinstance(value, int | float) for value in x)
@@ -143,36 +130,5 @@ def _curves(records: Sequence[Record], key: str, name: str) -> list[ReportFigure
             continue
         chart = Chart(across, ChartAxis.spanning(metric, y))
         chart.line(places, y, COLOURS[i % len(COLOURS)], DASHES[0], MARKS[0])
-        figures.append(
-            ReportFigure(f"{metric}{f', {name}' if name else ''}", "Broken where not evaluated.", chart.svg())
-        )
+        figures.append(ReportFigure(metric, "Broken where not evaluated.", chart.svg()))
     return figures
-
-
-def read_sweep(path: Path, keys: Sequence[str]) -> list[dict[str, Any]]:
-    """Read the records of a sweep.csv.
-
-    Raises:
-        InputError: the file cannot be read, or is not a sweep of these keys.
-    """
-    try:
-        text = path.read_text("utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or 'not UTF-8'}") from None
-    rows = list(csv.DictReader(io.StringIO(text)))
-    missing = [name for name in (*keys, "result", *METRICS) if not rows or name not in rows[0]]
-    if missing:
-        raise InputError(f"{path}: has no column {missing[0]}; give the sweep.csv of a grid of the same keys")
-    return [{name: _cell(value, name) for name, value in row.items()} for row in rows]
-
-
-def _cell(text: str | None, name: str) -> Any:
-    if name in METRICS:
-        try:
-            return float(text) if text else None
-        except ValueError:
-            return None
-    try:
-        return float(text or "")
-    except ValueError:
-        return text

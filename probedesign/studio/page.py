@@ -316,8 +316,7 @@ class StudioPage:
                 gui.add_button(label).on_click(partial(self._press, action))
             links = gui.add_html("")
             name.on_update(lambda _: self._request(lambda: self._refresh(moved=False)))
-            restoring: Any = gui.add_text("command that restores this state", "", multiline=True)
-            self._save = {"name": name, "replace": replace, "command": restoring, "links": links}
+            self._save = {"name": name, "replace": replace, "links": links}
             dark = gui.add_checkbox("dark page", False)
             dark.on_update(lambda _: self._theme(dark.value))
         self._stacked, self._panel = False, gui.add_panel()
@@ -498,7 +497,6 @@ class StudioPage:
         )
         bar = colour_bar(f"error of {session.touch.force_mN:g} mN there")
         self._charts["summary"].content = styled(bar + dotted + summary_table(figures, pinned) + check)
-        self._save["command"].value = session.command_line
         name = self._save["name"].value.strip()
         file = render_design(session.design.model_copy(update={"name": name})).encode()
         self._save["links"].content = styled(

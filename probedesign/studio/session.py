@@ -5,8 +5,6 @@ Every change passes through `Session.change`, which checks it as a design file i
 
 import base64
 import json
-import shlex
-import tomllib
 import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
@@ -58,9 +56,6 @@ class Session:
     """The state of one studio. All browser tabs share it."""
 
     design: Design  #: the current design; always valid.
-    source: str = "large"  #: design file or preset from which the session started.
-    #: its tables, from which the command line is written; those of `design` if empty.
-    start: dict[str, Any] = field(default_factory=dict)
     touch: StudioTouch = StudioTouch()  #: the touch that is drawn.
     forces_mN: tuple[float, ...] = DEFAULT_FORCES_MN  #: contact forces whose errors are drawn.
     pinned: list[PinnedDesign] = field(default_factory=list)  #: designs kept for comparison.
@@ -69,10 +64,6 @@ class Session:
     _redo: list[Design] = field(default_factory=list)
     _last: tuple[str, float] = ("", 0.0)
     _beside: Design | None = None  # what `toggle` returns to
-
-    def __post_init__(self) -> None:
-        """Start from the design itself if no other is given."""
-        self.start = self.start or tables_of(self.design)
 
     def change(self, values: Mapping[str, Any], now: float) -> bool:
         """Change keys of the design; return whether the result is a valid design, which is then the current one.
@@ -148,13 +139,6 @@ class Session:
     def unpin_last(self) -> None:
         """Drop the design that was pinned last, if any."""
         self.pinned = self.pinned[:-1]
-
-    @property
-    def command_line(self) -> str:
-        """Return the command that starts a studio with this design; the whole state is in `link`."""
-        changed = changes(self.start, tables_of(self.design))
-        options = [f"--set {shlex.quote(f'{key}={_text(value)}')}" for key, value in changed.items()]
-        return " ".join(["probedesign studio", shlex.quote(self.source), *options])
 
     @property
     def link(self) -> str:
@@ -264,44 +248,6 @@ def with_knots(design: Design, diameters_mm: Mapping[int, float]) -> dict[str, A
     for index, diameter in diameters_mm.items():
         profile[index][1] = round(diameter, 2)
     return {"probe.profile_mm": profile}
-
-
-def changes(start: Mapping[str, Any], now: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Return the keys of a design whose values differ from those at the start, with the new values."""
-    changed: dict[str, Any] = {}
-    for key, value in now.items():
-        if isinstance(value, Mapping):
-            changed |= changes(start.get(key) or {}, value, f"{prefix}{key}.")
-        elif value != start.get(key):
-            changed[f"{prefix}{key}"] = value
-    return changed
-
-
-def _text(value: Any) -> str:
-    if isinstance(value, list | tuple):
-        return f"[{', '.join(map(_text, value))}]"
-    if isinstance(value, Mapping):
-        return f"{{{', '.join(f'{key} = {_text(inner)}' for key, inner in value.items())}}}"
-    return f"{value:.10g}" if isinstance(value, float) else json.dumps(value)
-
-
-def with_options(design: Design, options: Sequence[str]) -> Design:
-    """Return the design with the keys of `--set KEY=VALUE` changed, as `Session.command_line` writes them.
-
-    Raises:
-        InputError: an option is not KEY=VALUE, or the design is not valid.
-    """
-    values = {}
-    for option in options:
-        key, equals, text = option.partition("=")
-        if not equals or not key.strip():
-            raise InputError(f"--set {option!r} is not KEY=VALUE, such as --set probe.length_mm=140")
-        try:
-            value = tomllib.loads(f"value = {text}")["value"]
-        except tomllib.TOMLDecodeError:
-            value = text.strip()
-        values[key.strip()] = value
-    return check_design(_with_keys(tables_of(design), values))
 
 
 def mounting_of(gravity: Sequence[float]) -> str:

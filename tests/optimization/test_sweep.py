@@ -102,7 +102,7 @@ def test_an_incomplete_record_is_dropped_and_complete_ones_are_kept(tmp_path):
 def test_results_of_another_sweep_and_corrupt_lines_are_refused_unchanged(tmp_path):
     path = tmp_path / "sweep.jsonl"
     content = journal_of(path, 3)
-    with pytest.raises(InputError, match="another sweep"):
+    with pytest.raises(InputError, match="another run"):
         Journal.open(path, REQUEST | {"vary": {"b": [1]}})
     lines = content.splitlines(keepends=True)
     for rubbish in (b"rubbish\n", b'{"point": "one"}\n'):

@@ -1,4 +1,4 @@
-"""Test the budget of fused touches: sums, limits, agreement with the fusion; workspace and tables."""
+"""Test the budget of fused touches: sums, limits, agreement with the fusion; tables."""
 
 import csv
 import io
@@ -17,7 +17,7 @@ from probedesign.estimation.model import Tolerances
 from probedesign.prediction.fused import FUSED_CAUSES, LinearizedPresses, PressSchedule
 from probedesign.prediction.monte_carlo import MonteCarloPlan, PrintSamples, locate_draws, run_monte_carlo
 from probedesign.prediction.predict import along_csv, conditions_csv, predict
-from probedesign.prediction.touches import ALL_AROUND, touches_of
+from probedesign.prediction.touches import touches_of
 from probedesign.probe import build_probe
 
 DESIGNS = Path(__file__).parents[2] / "designs"
@@ -165,7 +165,7 @@ def test_touches_that_cannot_be_fused_are_refused(touches, capsys):
     assert f"touches = {touches}" in capsys.readouterr().err
 
 
-def test_the_press_schedule_is_part_of_the_checkpoint_key(large):
+def test_the_press_schedule_is_part_of_the_key(large):
     plan = MonteCarloPlan(large.model, large.tolerances, 10, 1)
     assert plan.key != replace(plan, pressing=PressSchedule(4)).key
 
@@ -175,38 +175,6 @@ def test_the_fused_force_threshold_gives_the_requested_error(large):
     found = large.predict((0.6,), forces, ("+y",), tolerances=rigid).fused_reach[0]
     there = of(large, rigid, (0.6, 1e-3 * found.force_mN_for_2_mm, "+y"))
     assert there.predicted_error_mm == pytest.approx(2.0, rel=0.02)  # straight in logarithms over a third
-
-
-# Where it can be touched
-
-
-def test_paths_lead_from_the_free_probe_to_the_maximum_force(large, prediction):
-    assert len(prediction.workspace.paths) == 6
-    for path in prediction.workspace.paths:
-        s = path.contact_fraction * large.length
-        # The centreline's point lies r tan α nearer the base than the touched section, at most 0.15 mm.
-        np.testing.assert_allclose(path.points[0], 1e3 * large.estimator().free().p_at(s), atol=0.15)
-        reach = next(r for r in prediction.reach if (r.contact_fraction, r.direction)
-                     == (path.contact_fraction, path.direction))  # fmt: skip
-        assert (path.greatest_force_N, path.limit) == (reach.greatest_force_N, reach.limit)
-        way = (1.0 if path.direction[0] == "+" else -1.0) * (path.points[-1] - path.points[0])
-        assert way["xyz".index(path.direction[1])] > 0.5 * path.pressed_mm > 0.0  # bent by up to 60 degrees
-
-
-def test_without_gravity_the_workspace_is_a_body_of_revolution(large):
-    model = replace(large.model, gravity_base=np.zeros(3))
-    workspace = predict(model, tuple(np.linspace(0.2, 0.8, 7)), (0.02,), ("+x", "-x", "+y")).workspace
-    areas = list(workspace.area_mm2.values())
-    np.testing.assert_allclose(areas, areas[0], rtol=1e-4)  # a round probe; fast solves
-    sheet = np.array([np.zeros((12, 3)), *(p.points for p in workspace.paths if p.direction == "+x")])
-    a, b, c, d = sheet[:-1, :-1], sheet[1:, :-1], sheet[1:, 1:], sheet[:-1, 1:]
-    cells = (np.linalg.norm(np.cross(b - a, c - a), axis=-1) + np.linalg.norm(np.cross(c - a, d - a), axis=-1)) / 2.0
-    pappus = 2.0 * np.pi * (cells * (a + b + c + d)[:, :, 0] / 4.0).sum()
-    # 24 flat sides instead of a circle lack 1.1 %, cells taken at their middles about as much.
-    assert workspace.volume_mm3 == pytest.approx(pappus, rel=0.04)
-    around = predict(model, tuple(np.linspace(0.2, 0.8, 7)), (0.02,), ALL_AROUND).workspace
-    # Two channels share a diagonal force, so more of it is read and the volume bulges there.
-    assert workspace.volume_mm3 < around.volume_mm3 < 1.03 * workspace.volume_mm3
 
 
 # Tables
@@ -227,4 +195,3 @@ def test_the_tables_contain_every_condition_with_units_in_their_names(prediction
     along = list(csv.DictReader(io.StringIO(along_csv(prediction).decode())))
     assert len(along) == len(prediction.reach)
     assert all(name in plain or name.endswith((*ends, "_mm")) for name in along[0])
-    assert float(along[0]["pressed_mm"]) == pytest.approx(prediction.workspace.paths[0].pressed_mm, rel=1e-5)

@@ -241,8 +241,7 @@ def test_another_web_page_cannot_connect(page):
         connect(address, origin=Origin("http://example.org"), subprotocols=[protocol])
 
 
-@pytest.mark.parametrize("arguments", [["--port", "0"], ["--host", "0.0.0.0"], ["--set", "probe.length_mm"],
-                                       ["none.toml"], ["small", "--set", "probe.tip_d_mm=9"]])  # fmt: skip
+@pytest.mark.parametrize("arguments", [["--port", "0"], ["--host", "0.0.0.0"], ["none.toml"]])
 def test_bad_arguments_give_one_line(arguments, capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert run(["studio", *arguments]) == 2

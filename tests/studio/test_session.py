@@ -5,10 +5,10 @@ import pytest
 from probedesign.core.errors import InputError
 from probedesign.design.catalog import RESINS, STIFFNESS_SPREAD
 from probedesign.design.edit import tables_of
-from probedesign.design.io import load_design, parse_design, render_design
+from probedesign.design.io import check_design, load_design, parse_design, render_design
 from probedesign.estimation.model import Tolerances
 from probedesign.probe import build_probe
-from probedesign.studio.session import MAX_PINNED, MERGE_SECONDS, Session, StudioTouch, with_knots, with_options
+from probedesign.studio.session import MAX_PINNED, MERGE_SECONDS, Session, StudioTouch, with_knots
 
 
 @pytest.fixture
@@ -30,8 +30,10 @@ def test_an_invalid_change_keeps_the_design_and_gives_the_reason_of_the_file(ses
     start = session.design
     assert not session.change({"probe.tip_d_mm": 14.0}, now=0.0)  # wider than the base
     assert session.design == start and "tip_d_mm" in session.refused and "\n" not in session.refused
+    tables = tables_of(start)
+    tables["probe"]["tip_d_mm"] = 14.0
     with pytest.raises(InputError) as reason:
-        with_options(start, ["probe.tip_d_mm=14.0"])
+        check_design(tables)
     assert str(reason.value) == session.refused
     assert session.change({"probe.tip_d_mm": 3.0}, now=5.0) and not session.refused
 
@@ -70,29 +72,14 @@ def test_a_modulus_chosen_by_hand_is_assumed(session):
     assert session.design.youngs_modulus.provenance == "assumed"
 
 
-def test_the_command_line_restores_the_design(session):
-    import shlex
-
-    session.change({"probe.shape": "profile"}, now=0.0)
-    session.change(with_knots(session.design, {1: 8.25}), now=2.0)
-    session.change({"mount.gravity_base_m_s2": [0.0, 0.0, 9.81]}, now=4.0)
-    session.change({"sensor.calibration": "si-50-0.5"}, now=6.0)
-    words = shlex.split(session.command_line)
-    assert words[:3] == ["probedesign", "studio", "large"]
-    options = [text for option, text in zip(words[3::2], words[4::2], strict=True) if option == "--set"]
-    assert tables_of(with_options(load_design("large"), options)) == tables_of(session.design)
-
-
 @pytest.mark.parametrize(
-    "options",
-    ["probe.length_mm", "=3", "probe.lenght_mm=3", "probe.length_mm=nan", "probe.length_mm=-5", "probe.length_mm.x=3",
-     "probe=[] probe.length_mm=3", "sensor=3 sensor.model=gamma",
-     "material.provenance=3 material.youngs_modulus_mpa=3"],
+    "values",
+    [{"probe.lenght_mm": 3}, {"probe.length_mm": float("nan")}, {"probe.length_mm": -5}, {"probe.length_mm.x": 3},
+     {"probe": [], "probe.length_mm": 3}, {"sensor": 3, "sensor.model": "gamma"},
+     {"material.provenance": 3, "material.youngs_modulus_mpa": 3}],
 )  # fmt: skip
-def test_bad_options_give_one_line(options):
-    with pytest.raises(InputError) as error:
-        with_options(load_design("small"), options.split())
-    assert "\n" not in str(error.value)
+def test_bad_values_give_one_line(session, values):
+    assert not session.change(values, now=0.0) and session.refused and "\n" not in session.refused
 
 
 def test_pins_are_kept_once_and_the_oldest_gives_way(session):
@@ -110,8 +97,6 @@ def test_an_axis_is_bent_and_straightened(session):
     assert session.change({"probe.axis": "helix"}, now=4.0), session.refused
     probe = session.design.probe
     assert (probe.axis_bend_deg, probe.axis_turns, probe.axis_azimuth_deg) == (80.0, 0.5, 0.0)
-    again = with_options(load_design("large"), ['probe.axis="helix"', "probe.axis_bend_deg=80"])
-    assert again == session.design
     assert not session.change({"probe.axis_bend_deg": 2000.0}, now=6.0) and "axis_bend_deg" in session.refused
     assert session.change({"probe.axis": "straight"}, now=8.0)
     assert session.design.probe == load_design("large").probe

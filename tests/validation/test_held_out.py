@@ -131,7 +131,7 @@ def test_from_identify_to_validate_by_the_commands(folder, tmp_path, monkeypatch
     assert run(["deploy", "found.toml", "--out", "found.probe.json"]) == 0
     assert json.loads((tmp_path / "found.probe.json").read_text())["material"]["identified_tests"] == list(served)
     capsys.readouterr()
-    assert run(["validate", "found.probe.json", str(folder), "--no-plots", "--json", "--out", "v"]) == 0
+    assert run(["validate", "found.probe.json", str(folder), "--json", "--out", "v"]) == 0
     document = json.loads(capsys.readouterr().out)
     assert document["coverage"]["touches"] <= 3 and document["verdict"] == document["coverage"]["verdict"]
     held_out = {row["test"] for row in document["tests"] if row["kind"] == "touch" and row["held_out"]}

@@ -334,10 +334,10 @@ def test_validate_as_json_is_one_document_and_refusals_one_line(call, made, tmp_
     bundle = tmp_path / "large.probe.json"
     design = DESIGNS / "large.toml"
     assert call("deploy", design, "--out", bundle)[0] == 0
-    status, out, _ = call("validate", bundle, made, "--out", tmp_path / "out", "--no-plots", "--json")
+    status, out, _ = call("validate", bundle, made, "--out", tmp_path / "out", "--json")
     document = json.loads(out)
     assert status == 0 and len(document["tests"]) == 15 and document["coverage"]["touches"] > 5
-    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["validation.csv", "validation.json"]
+    assert {p.name for p in (tmp_path / "out").iterdir()} == {f"validation.{end}" for end in ("csv", "html", "json")}
     for arguments in ((bundle, tmp_path), (made / "tests.csv", made)):
         status, out, err = call("validate", *arguments)
         assert (status, out, err.count("\n")) == (2, "", 1) and "Traceback" not in err
@@ -351,7 +351,7 @@ def test_several_probes_make_one_table_as_the_papers(call, tmp_path):
         assert call("deploy", DESIGNS / f"{name}.toml", "--out", bundle)[0] == 0
         assert call("campaign", DESIGNS / f"{name}.toml", data, "--stage")[0] == 0
         pairs += [bundle, data]
-    status, out, _ = call("validate", *pairs, "--out", tmp_path / "out", "--no-plots")
+    status, out, _ = call("validate", *pairs, "--out", tmp_path / "out")
     assert status == 0 and "  medium  touch-01" in out and "small: " in out
     table = (tmp_path / "out/table1.csv").read_text().splitlines()
     assert table[0].startswith(
