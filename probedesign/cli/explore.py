@@ -24,7 +24,7 @@ from probedesign.cli.options import (
     check_names,
     frozen_probe,
 )
-from probedesign.core.errors import InputError
+from probedesign.core.errors import InputError, one_line
 from probedesign.core.files import check_overwrite, check_writable
 
 if TYPE_CHECKING:
@@ -39,6 +39,7 @@ if TYPE_CHECKING:
 
 FILES = ("points.csv", "points.ply", "points.html", "points.svg", "shapes.json",
          *(["shapes.ply"] if find_spec("trimesh") is not None else []))  # fmt: skip
+MAX_BEHIND = 1 << 16  #: Number of estimates that may arrive during one answer: five minutes at 200 Hz.
 ELLIPSOIDS = (
     "The ellipsoids contain the true point with a probability of 95 %, given the stated uncertainty of stiffness, "
     "base, robot and bias. ± is the RMS distance."
@@ -79,6 +80,7 @@ def explore(
         manifest: manifest.json of the printed parts; its geometry must be the bundle's.
         as_json: print one JSON document with the points and their uncertainty.
     """
+    from probedesign.live.outputs.options import open_publisher
     from probedesign.mapping.explore import parse_min_separation
     from probedesign.simulation import simulated_run
     from probedesign.simulation.scenes import SOURCE, true_outlines
@@ -88,14 +90,16 @@ def explore(
     rehearsing = rehearsal is not None and rehearsal.rehearse is not None
     bundles, recordings = _arguments([bundle, *more], manifest, out, force)
     processing = None if rehearsing else reading.processing(recordings)
-    suggestion.check()
+    if len(bundles) > 1 and reading.source is not None:
+        raise InputError("--source is read by one probe; run `live` with all of them, and here --follow")
+    mesh = suggestion.check()
     explorations = _explorations(bundles, manifest, base, parse_min_separation(apart_mm), one_object)
     models = [each.estimator.model for each in explorations.values()]
     if rehearsal is not None and rehearsing:
         return print(f"wrote {', '.join(map(str, rehearsal.write(models, base, one_object, force)))}")
-    publisher, titles, sources = suggestion.publisher(models), list[str](), set[str]()
+    publisher, titles, sources = open_publisher(suggestion.publish, models, print_note), list[str](), set[str]()
     recorded = {name: recordings[min(i, len(recordings) - 1)] for i, name in enumerate(explorations) if recordings}
-    answer = partial(_understood, explorations, suggestion, publisher, processing is None)
+    answer = partial(_understood, explorations, suggestion, mesh, publisher, processing is None)
     if processing is None:
         _follow(explorations, reading, base, answer)
     else:
@@ -103,6 +107,8 @@ def explore(
             title, source = _explore(explorations, name, recorded.get(name), reading, base, processing)
             titles, sources = [*titles, title], sources | {source}
     scene, document = answer()
+    if publisher is not None:
+        publisher.close()
     cloud, rehearsed = scene.contact_map, sources == {SOURCE}
     if out is not None:
         probe = ", ".join(f"{model.name} {model.fingerprint}" for model in models)
@@ -216,13 +222,15 @@ def _follow(
     from probedesign.mapping.explore import followed_update
 
     first, option = next(iter(explorations)), f"--follow {reading.follow}"
+    if base.pose is not None:
+        raise InputError("--follow takes the poses of the run of `live`: no --pose")
     gravity = parse_gravity(base.gravity_world)
     for exploration in explorations.values() if gravity is not None else ():
         exploration.gravity_world = np.asarray(gravity)
     parse = partial(followed_update, explorations[first].gravity_world)
-    listener = Listener(option, "estimates", parse_listen_address(option), parse)
+    listener = Listener(option, "estimates", parse_listen_address(option), parse, max_queued=MAX_BEHIND)
     print_note(" ".join(listener.notes))
-    end, latest = monotonic() + (reading.seconds or math.inf), dict.fromkeys(explorations, -math.inf)
+    end, latest, other = monotonic() + (reading.seconds or math.inf), dict.fromkeys(explorations, (0, 0.0)), ""
     with interrupt_on_termination(), closing(listener):
         listener.start()
         with suppress(KeyboardInterrupt):
@@ -230,17 +238,23 @@ def _follow(
                 listener.wait(0.2)
                 for line in listener.pop_messages():
                     print_note(line)
-                for _, update, _ in listener.pop():
+                ended = False
+                for _, update, session in listener.pop():
                     name = first if update is None else update.probe or first
                     if update is None or name not in explorations:
+                        if name not in explorations and not other:
+                            other = name
+                            print_note(f"estimates of probe {one_line(name, 60)} are not followed: name it as well")
                         continue
-                    new_run, latest[name] = update.reading.time < latest[name], update.reading.time
-                    ended = list(explorations[name].finish(print_note)) if new_run else []
-                    ended += explorations[name].take(update, print_note)
-                    for touch in ended:
+                    exploration, (before, time) = explorations[name], latest[name]
+                    latest[name] = session, update.reading.time
+                    new_run = session != before or update.reading.time < time
+                    for touch in (*(exploration.finish(print_note) if new_run else ()),
+                                  *exploration.take(update, print_note)):  # fmt: skip
+                        ended = True
                         print_note(f"{name}: touch {touch.segment.number} ended: {touch.result}")
-                    if ended:
-                        print_note("\n".join(answer()[0].lines))
+                if ended:  # once for all that ended while the last answer was computed
+                    print_note("\n".join(answer()[0].lines) or "no touch is located yet")
     print_note(listener.summary)
     for exploration in explorations.values():
         list(exploration.finish(print_note))
@@ -262,6 +276,7 @@ def _write(out: Path, scene: "MapScene", probe: str, notes: list[str], document:
 def _understood(
     explorations: "Mapping[str, Exploration]",
     options: SuggestionOptions,
+    mesh: "KnownObject | None",
     publisher: "UdpPublisher | None",
     following: bool,
 ) -> "tuple[MapScene, dict[str, Any]]":
@@ -277,7 +292,7 @@ def _understood(
     cloud = joint_map(explorations) if len(explorations) > 1 else next(iter(explorations.values())).map()
     touched, friction = TouchSet.of(cloud), max(each.estimator.model.friction for each in explorations.values())
     shapes = ShapeFit(touched, friction).shapes()
-    known = options.known(touched, friction)
+    known = None if mesh is None else (mesh, options.located(mesh, touched, friction))
     lines, ghost = [*(shape.text for shape in shapes), missing(touched, shapes)], None
     document: dict[str, Any] = {"shapes": shapes_document(shapes)}
     if math.isfinite(cloud.object_compliance):

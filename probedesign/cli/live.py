@@ -226,6 +226,7 @@ def _run(
     """
     from probedesign import pipeline
     from probedesign.live.outputs.guard import Guard, GuardChannel, GuardedSource
+    from probedesign.live.outputs.options import open_publisher
     from probedesign.live.outputs.sinks import LogFile, ProbeSink, SinkGroup, StderrSink
     from probedesign.live.poses.open import open_poses
     from probedesign.live.processing.commands import CommandQueue, DatagramInput, KeyInput, SharedCommands
@@ -238,7 +239,7 @@ def _run(
         runs = list(zip(estimators.values(), specs, parts, strict=True))
         sources = [open_source(source, estimator.model, part.log) for estimator, (source, _), part in runs]
         poses = [open_poses(pose, *pose_options, part.log) for _, (_, pose), part in runs]
-        publisher = outputs.publisher([estimator.model for estimator in estimators.values()], sinks.log)
+        publisher = open_publisher(outputs.publish, [estimator.model for estimator in estimators.values()], sinks.log)
         for estimator in estimators.values():
             warm_up(estimator, sinks.log, fusing=True)
         for (estimator, _, part), source, known in zip(runs, sources, poses, strict=True):

@@ -19,7 +19,6 @@ from probedesign.core.files import EXPORTS, chosen_exports, file_in
 
 if TYPE_CHECKING:
     from probedesign.estimation.model import ProbeModel
-    from probedesign.live.outputs.sinks import UdpPublisher
     from probedesign.live.poses.base_poses import BasePoses
     from probedesign.live.processing.chain import ProcessingOptions
     from probedesign.live.sources.source import Source
@@ -225,6 +224,9 @@ class ReadingOptions:
         if self.follow is not None:
             if recordings or self.source is not None or self.tare_s is not None or self.tare is not None:
                 raise InputError("--follow takes the touches of a run of `live`: no recording, --source or tare")
+            if self.average is not None:
+                raise InputError("--follow takes the means of the run of `live`: no --average")
+            ProcessingOptions(seconds=self.seconds)  # refused alike
             return None
         if bool(recordings) == (self.source is not None):
             raise InputError("explore needs either a recording or --source for a live run, not both")
@@ -403,18 +405,13 @@ class SuggestionOptions:
     object_std_deg: float = 10.0
     """Standard deviation of the first guess of its rotation, about each axis [deg]."""
 
-    def publisher(self, models: Sequence["ProbeModel"]) -> "UdpPublisher | None":
-        """Return what --publish sends with; raises InputError if its address is invalid."""
-        from probedesign.live.outputs.message_streams import SCHEME, RosPublisher
-        from probedesign.live.outputs.sinks import UdpPublisher
+    def check(self) -> "KnownObject | None":
+        """Return the object of the mesh, None where none is given, before the recording is read.
 
-        if self.publish is not None and self.publish.startswith(SCHEME):
-            return RosPublisher(self.publish, models, print_note)
-        return None if self.publish is None else UdpPublisher(self.publish, print_note)
-
-    def check(self) -> None:
-        """Raise InputError where an option is out of range, before the recording is read."""
-        from probedesign.mapping.known_object import parse_pose
+        Raises:
+            InputError: an option is out of range, the mesh cannot be read or is not closed, or trimesh is missing.
+        """
+        from probedesign.mapping.known_object import KnownObject, parse_pose
         from probedesign.mapping.next_touch import GOALS
 
         if self.goal not in GOALS:
@@ -427,23 +424,18 @@ class SuggestionOptions:
             raise InputError("--goal pose needs --object and --object-at")
         if not (0.0 < self.object_std_mm <= 100.0 and 0.0 < self.object_std_deg <= 60.0):
             raise InputError("--object-std-mm must lie in 0 ... 100, --object-std-deg in 0 ... 60, both above 0")
-        if self.object is not None:
-            parse_pose(self.object_at)
-            if not self.object.is_file():
-                raise InputError(f"--object {self.object}: no such file")
-
-    def known(self, touches: "TouchSet", friction: float) -> "tuple[KnownObject, ObjectPose] | None":
-        """Return the known object with its pose by touches, None where no mesh is given.
-
-        Raises:
-            InputError: the mesh cannot be read, is not closed, or trimesh is missing.
-        """
         if self.object is None:
             return None
-        from probedesign.mapping.known_object import KnownObject, ObjectPose, locate_object, parse_pose
+        parse_pose(self.object_at)
+        if not self.object.is_file():
+            raise InputError(f"--object {self.object}: no such file")
+        return KnownObject.load(self.object)
 
-        known = KnownObject.load(self.object)
+    def located(self, known: "KnownObject", touches: "TouchSet", friction: float) -> "ObjectPose":
+        """Return the pose of the object by touches."""
+        from probedesign.mapping.known_object import ObjectPose, locate_object, parse_pose
+
         guess = ObjectPose.prior(
             parse_pose(self.object_at), 1e-3 * self.object_std_mm, math.radians(self.object_std_deg)
         )
-        return known, locate_object(touches, known, guess, friction)
+        return locate_object(touches, known, guess, friction)

@@ -106,16 +106,17 @@ def parse_listen_address(option: str) -> tuple[str, int]:
 MAX_QUEUED = 8192  #: Maximum number of queued values: a second of the fastest sensor.
 TICK = 0.010  #: Interval in which the number of datagrams is limited [s]. The system drops the rest of a flood.
 MAX_BURSTS = 50  #: Number of full ticks after which the user is informed: more than a busy machine causes.
+LOST = ("lost", "dropped")  #: Counts of what the network lost, and of what nobody took in time.
 BUFFER_BYTES = 1 << 22  #: Size of the socket's buffer that is requested of the system; it may grant less.
 
 T = TypeVar("T")
 
 
 class Handover(deque[T]):
-    """Values that one thread appends and another takes; beyond `MAX_QUEUED` the oldest are dropped."""
+    """Values that one thread appends and another takes; beyond a number the oldest are dropped."""
 
-    def __init__(self) -> None:
-        super().__init__(maxlen=MAX_QUEUED)
+    def __init__(self, max_queued: int = MAX_QUEUED) -> None:
+        super().__init__(maxlen=max_queued)
 
     def take(self) -> list[T]:
         """Return the values since the last call, in order."""
@@ -156,11 +157,13 @@ class Listener(Generic[T]):
         parse: Callable[[Mapping[str, Any]], Parsed[T]],
         max_rate: float = 2000.0,
         title: str = "",
+        max_queued: int = MAX_QUEUED,
     ) -> None:
         """Bind the port of this machine, or one that the system chooses if it is 0; nothing is received before `start`.
 
         Messages name the `option` of the user and what is received, `name`, in plural. `parse` returns the content of
-        an object, or raises InputError; `max_rate` is that of datagrams [Hz].
+        an object, or raises InputError; `max_rate` is that of datagrams [Hz]. Of more than `max_queued` values that
+        nobody takes, the oldest are dropped, and count as lost.
 
         Raises:
             InputError: the port is in use, or the address does not belong to this machine.
@@ -180,7 +183,7 @@ class Listener(Generic[T]):
         self.frame = ""
         self._messages = Handover[str]()
         self._arrived = SimpleQueue[None]()  # a signal within the wait of an Event can leave its lock held
-        self._queue = Handover[tuple[float, T, int]]()
+        self._queue = Handover[tuple[float, T, int]](max_queued)
         self._session, self._address = 0, ("", 0)
         self._last: Parsed[T] | None = None
         self._last_arrival = -SENDER_TIMEOUT
@@ -262,8 +265,8 @@ class Listener(Generic[T]):
     @property
     def summary(self) -> str:
         """The counts in one line."""
-        refused = [f"{n} {kind}" for kind, n in self.counts.items() if kind not in ("taken", "bursts", "lost")]
-        lost = f", {self.counts['lost']} lost" if self.counts["lost"] else ""
+        refused = [f"{n} {kind}" for kind, n in self.counts.items() if kind not in ("taken", "bursts", *LOST)]
+        lost = f", {n} lost" if (n := sum(self.counts[kind] for kind in LOST)) else ""
         rejected = f", rejected: {', '.join(refused)}" if refused else ""
         return f"{self.counts['taken']} {self._name}{lost}{rejected}"
 
@@ -291,6 +294,10 @@ class Listener(Generic[T]):
             return self.reject(*contradiction)
         self._last, self._last_arrival = content, now
         self.counts["taken"] += 1
+        if len(self._queue) == self._queue.maxlen:
+            self.counts["dropped"] += 1
+            if self.counts["dropped"] == 1:
+                self._messages.append(f"{self._name}: they arrive faster than they are processed; the oldest are lost")
         self._queue.append((now, content.value, self._session))
         if self._arrived.empty():
             self._arrived.put(None)

@@ -64,9 +64,6 @@ class ContactMap:
     std_object_compliance: float = math.nan
 
 
-_Group = tuple[ConditionalPoint, tuple[LocatedTouch, ...]]  #: A point and its touches.
-
-
 def build_map(
     touches: Sequence[LocatedTouch], youngs_modulus: float, min_separation: float = MIN_SEPARATION,
     object_compliance: float = 0.0,
@@ -74,23 +71,23 @@ def build_map(
     """Return the map of touches, with the error sources that they share estimated jointly.
 
     Args:
-        touches: of one run; those of several probes, each on its robot, as `joint_map` prepares them.
+        touches: of one run, in order of time; those of several probes, each on its robot, as `joint_map` prepares them.
         youngs_modulus: standard deviation of the prior on E, relative.
         min_separation: minimum distance between points of the object [m]; 0 fuses no touches.
         object_compliance: scale of the half-normal prior of its compliance [m/N], for touches of one object.
     """
-    groups: list[_Group] = [(touch.point, (touch,)) for touch in touches if touch.point is not None]
+    groups = [(touch.point, [k]) for k, touch in enumerate(touches) if touch.point is not None]
     while (pair := _closest_pair([point for point, _ in groups], min_separation)) is not None:
         i, j = pair
         (first, of_first), (second, of_second) = groups[i], groups.pop(j)
-        groups[i] = (first.fused_with(second), (*of_first, *of_second))
+        groups[i] = (first.fused_with(second), sorted(of_first + of_second))
     common, cov_common = _common_errors([point for point, _ in groups])
     points = tuple(
         MapPoint(
             point.position(common),
             point.covariance(cov_common),
             point.covariance(cov_common) - point.cov,
-            tuple(sorted(members, key=lambda touch: touch.segment.number)),
+            tuple(touches[k] for k in members),
         )
         for point, members in groups
     )

@@ -17,7 +17,7 @@ from probedesign.estimation.model import ProbeModel, Tolerances
 from probedesign.live.blocks import Block, WrenchReading
 from probedesign.live.datagrams import Parsed
 from probedesign.live.outputs.sinks import SCHEMA, Sink
-from probedesign.live.poses.base_poses import BasePoses
+from probedesign.live.poses.base_poses import MAX_DISTANCE, MAX_TIME, BasePoses
 from probedesign.live.poses.open import FIXED
 from probedesign.live.processing.chain import ProcessingOptions
 from probedesign.live.processing.estimates import EstimateUpdate
@@ -25,6 +25,7 @@ from probedesign.live.processing.touches import Contact, Phase
 from probedesign.live.run import estimate_stream
 from probedesign.live.sources.replay import RecordingOptions, open_recording
 from probedesign.live.sources.source import Source
+from probedesign.live.sources.udp import MAX_SEQUENCE, MAX_WRENCH
 from probedesign.mapping.contact_map import MIN_SEPARATION, ContactMap, build_map
 from probedesign.mapping.segmentation import TouchSegment, TouchSegmenter
 from probedesign.mapping.touch_point import LocatedTouch, locate_touch
@@ -167,9 +168,10 @@ class Exploration:
             yield self._located(segment, log)
 
     def finish(self, log: Callable[[str], None]) -> Iterator[LocatedTouch]:
-        """Yield the touch that has not ended, if any."""
+        """Yield the touch that has not ended, if any; what is taken afterwards is another run, with another tare."""
         for segment in self._segmenter.finish():
             yield self._located(segment, log)
+        self._segmenter = TouchSegmenter(self._segmenter.count)
 
     def map(self) -> ContactMap:
         """Return the map of all touches so far."""
@@ -197,7 +199,7 @@ def followed_update(gravity_world: Array, values: Mapping[str, Any]) -> Parsed[E
         InputError: it is none, or of a run without poses.
     """
     sequence = values.get("number")
-    if values.get("schema") != SCHEMA or type(sequence) is not int:
+    if values.get("schema") != SCHEMA or type(sequence) is not int or not 0 <= sequence < MAX_SEQUENCE:
         raise InputError("is not one of `live --publish udp://`")
     if values.get("kind") == "estimate" and "phase" not in values:
         raise InputError("is of a run without poses; start `live` with --pose")
@@ -208,7 +210,8 @@ def followed_update(gravity_world: Array, values: Mapping[str, Any]) -> Parsed[E
         wrench = np.array([*values["mount_force_base_N"], *values["mount_moment_base_Nm"]], dtype=float).reshape(6)
         time, touch, phase = float(values["time_s"]), values["touch"], values["phase"]
         contacts = (Contact(int(touch), time),) if touch else ()
-        if not np.isfinite([*wrench, time]).all() or not is_pose(T) or phase not in get_args(Phase):
+        plausible = (np.abs(wrench) <= MAX_WRENCH).all() and (np.abs(T[:3, 3]) <= MAX_DISTANCE).all()
+        if not plausible or not abs(time) <= MAX_TIME or not is_pose(T) or phase not in get_args(Phase):
             raise ValueError
     except (KeyError, TypeError, ValueError, OverflowError):
         raise InputError("has no valid pose, wrench, time, phase or touch") from None
@@ -234,6 +237,7 @@ def joint_map(explorations: Mapping[str, Exploration]) -> ContactMap:
         for i, (name, exploration) in enumerate(explorations.items())
         for touch in exploration.touches
     ]
+    touches.sort(key=lambda touch: touch.segment.start)  # they touch at the same time
     first = next(iter(explorations.values()))
     priors = first.priors or first.estimator.priors
     return build_map(touches, priors.youngs_modulus, first.min_separation, priors.object_compliance)

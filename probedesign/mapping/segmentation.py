@@ -80,10 +80,14 @@ class TouchSegment:
 
 
 class TouchSegmenter:
-    """Collects touch segments from the estimates of a processing chain, which must include every reading."""
+    """Collects touch segments from the estimates of a processing chain, which must include every reading.
 
-    def __init__(self) -> None:
-        self._count, self._start = 0, np.nan
+    Attributes:
+        count: number of touches so far.
+    """
+
+    def __init__(self, count: int = 0) -> None:
+        self.count, self._start = count, np.nan
         self._open, self._last = 0, np.nan  # number of the open touch as given by `live`; 0 for none
         self._refused = False
         self._before: StationaryInterval | None = None
@@ -101,7 +105,7 @@ class TouchSegmenter:
             had_valid = any(interval.is_valid for interval in self._intervals)
             if not self._open or had_valid or contact.start - self._last >= REJOIN_TIME:
                 yield from self.finish()
-                self._count, self._start = self._count + 1, contact.start
+                self.count, self._start = self.count + 1, contact.start
                 newest, older = self._before, self._older
                 if older is not None and (newest is None or 2 * newest.n_readings < older.n_readings):
                     self._before = older  # the newest interval of the free probe has hardly begun
@@ -114,6 +118,8 @@ class TouchSegmenter:
                 if self._intervals and self._intervals[-1].contains(update.T_world_base):
                     self._intervals[-1].add(update)
                 else:
+                    if self._intervals and not self._intervals[-1].is_valid:
+                        self._intervals.pop()  # or they would be kept for hours where the base creeps
                     self._intervals.append(StationaryInterval.begin(update))
         elif update.phase == "free":
             yield from self._update_free(update)
@@ -125,7 +131,7 @@ class TouchSegmenter:
             valid = [interval for interval in self._intervals if interval.is_valid]
             if len(valid) > MAX_INTERVALS:
                 valid = [valid[round(i)] for i in np.linspace(0, len(valid) - 1, MAX_INTERVALS)]
-            yield TouchSegment(self._count, self._start, self._before, tuple(valid), after, self._refused)
+            yield TouchSegment(self.count, self._start, self._before, tuple(valid), after, self._refused)
             if after is not None:
                 self._before, self._older = after, None
         self._open, self._intervals, self._after = 0, [], None

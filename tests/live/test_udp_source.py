@@ -262,6 +262,14 @@ def test_a_wrench_by_udp_is_located_as_it_was_sent(estimator):
     assert abs(update.estimate.s_contact - s) < update.estimate.std_s  # noise-free: the model error alone is stated
 
 
+def test_values_that_nobody_takes_in_time_are_lost_and_reported():
+    with closing(Listener("--follow", "wrenches", ("127.0.0.1", 0), parse_wrench, max_queued=3)) as listener:
+        for _ in range(5):
+            listener.receive(json.dumps(GOOD).encode(), ("127.0.0.1", 1), 9.0)
+        assert len(listener.pop()) == 3 and listener.summary == "5 wrenches, 2 lost"
+        assert [line for line in listener.pop_messages() if "the oldest are lost" in line]
+
+
 @pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="Windows has no timer signals")
 def test_ctrl_c_while_waiting_does_not_block_the_thread_that_receives():
     """An interruption within the wait of an Event leaves its lock held in about one of 200 cases."""

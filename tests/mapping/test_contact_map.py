@@ -47,6 +47,10 @@ def test_the_error_sources_of_two_probes_are_their_own():
     apart = joint_map(runs)
     assert [touch_numbers(point) for point in apart.points] == ["left 1", "right 1"]
     assert apart.points[0].cov_world == pytest.approx(alone, rel=1e-9, abs=1e-20)
+    runs["left"].touches += [touch(4, (0.0, 0.0, 0.0), 0.02e-3), touch(2, (0.1, 0.0, 0.0), 0.02e-3)]
+    runs["right"].touches[:] = [touch(3, (0.0, 0.0, 0.0), 0.02e-3), touch(1, (0.1, 0.0, 0.0), 0.02e-3)]
+    assert [touch_numbers(point) for point in joint_map(runs).points] == [
+        "left 1, right 3, left 4", "right 1, left 2"]  # in order of time  # fmt: skip
     runs["right"].touches[:] = [LocatedTouch(SimpleNamespace(number=1, start=2.0), NEVER_SETTLED)]
     assert "touch right 1 at 2.00 s" in " ".join(map_lines(joint_map(runs)))
     assert map_document(apart)["stiffness_factor"] is None  # each has its own

@@ -18,13 +18,16 @@ from probedesign.core.errors import InputError
 from probedesign.core.statistics import max_chi2
 from probedesign.core.units import MM
 from probedesign.frozen_probe import load_estimator, write_frozen
+from probedesign.live.blocks import WrenchReading
 from probedesign.live.outputs.sinks import SCHEMA
 from probedesign.live.poses.pose_sources import POSE_COLUMNS, read_pose_file
+from probedesign.live.processing.estimates import EstimateUpdate
+from probedesign.live.processing.touches import Contact
 from probedesign.live.recordings.csv import write_recording
 from probedesign.live.recordings.mcap_write import McapRecorder
 from probedesign.live.sources.replay import open_recording
 from probedesign.mapping.contact_map import COLUMNS
-from probedesign.mapping.explore import followed_update
+from probedesign.mapping.explore import Exploration, followed_update
 
 
 def arguments(probe, folder, *more, poses="poses.csv"):
@@ -173,6 +176,11 @@ def refused(capsys, command):
         ([*RUN, "--source", "sim:"], "--source"),
         ([*RUN, "--tilt-deg", "nan"], "--tilt-deg nan"),
         ([*RUN, "--base-offset-mm", "50"], "--base-offset-mm 50"),
+        ([*RUN, "--object", "POSES", "--object-at", "0,0,0"], "is not a readable mesh"),
+        ([*RUN, "--publish", "ros2://HOST"], "--publish ros2://HOST: write ros2://HOST:PORT"),
+        (["--follow", "udp://:9000", "--pose", "POSES"], "no --pose"),
+        (["--follow", "udp://:9000", "--average", "36"], "no --average"),
+        (["--follow", "udp://:9000", "--seconds", "-1"], "--seconds -1"),
     ],
 )
 def test_what_is_missing_or_out_of_range_is_refused_with_its_option(
@@ -268,6 +276,7 @@ def test_two_recordings_of_two_probes_make_one_map_with_the_same_points(probe, h
         (lambda a, b, r, p: [a, b, r, r, *p], "1 --pose for 2 probes"),
         (lambda a, b, r, p: [a, b, r, "--pose", r], "left: "),
         (lambda a, b, r, p: [a, b, r, r, r, *p], "3 recordings of 2 probes"),
+        (lambda a, b, r, p: [a, b, "--source", "sim:", *p, *p], "--source is read by one probe"),
         (lambda a, b, r, p: [a, b, "--follow", "udp://:9000", "--source", "sim:", *p], "--follow takes the touches"),
         (lambda a, b, r, p: [a, b, r, *p, *p, "--publish", "http://here"], "udp://HOST:PORT"),
     ],
@@ -285,9 +294,10 @@ def test_several_probes_without_names_recordings_or_poses_of_their_own_are_refus
 
 
 @pytest.mark.parametrize("change", [
-    {"number": "7"}, {"schema": 0}, {"T_world_base": np.diag([1.0, 1.0, -1.0, 1.0]).tolist()},
-    {"T_world_base": [[1.0]]}, {"mount_force_base_N": [0.0, float("nan"), 0.0]}, {"time_s": None},
-    {"touch": float("inf")}, {"touch": "first"}, {"phase": ["touching"]}, {"phase": None},
+    {"number": "7"}, {"number": 10**400}, {"schema": 0}, {"T_world_base": np.diag([1.0, 1.0, -1.0, 1.0]).tolist()},
+    {"T_world_base": [[1.0]]}, {"T_world_base": (np.eye(4) + 1e9 * np.eye(4, k=3)).tolist()},
+    {"mount_force_base_N": [0.0, float("nan"), 0.0]}, {"mount_moment_base_Nm": [1e300] * 3}, {"time_s": None},
+    {"time_s": 1e300}, {"touch": float("inf")}, {"touch": "first"}, {"phase": ["touching"]}, {"phase": None},
 ])  # fmt: skip
 def test_a_damaged_estimate_of_a_followed_run_is_refused(change):
     """The thread that receives ends with any other exception."""
@@ -299,6 +309,20 @@ def test_a_damaged_estimate_of_a_followed_run_is_refused(change):
     assert update is not None and update.contacts[0].number == 3
     with pytest.raises(InputError):
         followed_update(np.array([0.0, 0.0, -9.81]), estimate | change)
+
+
+def test_a_run_begins_without_the_free_probe_of_the_run_before(estimator):
+    """Its tare, and so the zero of its wrenches, is another."""
+    exploration = Exploration(estimator)
+    free = EstimateUpdate(WrenchReading(0.0, np.zeros(6), np.array([0.0, 0.0, -9.81])), None, phase="free",
+                          T_world_base=np.eye(4), wrench_base=np.zeros(6))  # fmt: skip
+    for run_of in range(2):
+        for k in range(100):
+            touch = replace(free, phase="settled", contacts=(Contact(1, 0.0),)) if run_of and k > 1 else free
+            assert not list(exploration.take(replace(touch, reading=replace(free.reading, time=0.01 * k)), print))
+        touches = list(exploration.finish(print))
+    (touch,) = touches
+    assert touch.segment.number == 1 and touch.segment.free_before is None and len(touch.segment.intervals) == 1
 
 
 def test_a_run_of_live_is_followed_and_answered_with_the_next_touch(probe, house, found, tmp_path):

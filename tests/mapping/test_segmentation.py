@@ -36,6 +36,20 @@ def test_a_touch_lost_at_its_beginning_continues():
     assert len(one.intervals) == 1 and one.free_before is not None and one.free_after is not None
 
 
+def test_a_base_that_creeps_during_a_touch_for_hours_keeps_no_reading_of_each_pose():
+    """Each reading has a pose of its own, so none is at rest."""
+    segmenter, contacts = TouchSegmenter(), ContactHistory()
+    for k in range(1000):
+        contacts.update(k * STEP, "settled", None)
+        T = np.eye(4) + 2e-5 * k * np.eye(4, k=3)
+        list(segmenter.update(EstimateUpdate(
+            WrenchReading(k * STEP, np.zeros(6), np.zeros(3)), None, phase="settled", T_world_base=T,
+            wrench_base=np.zeros(6), contacts=contacts.contacts)))  # fmt: skip
+    assert len(segmenter._intervals) == 1
+    (touch,) = segmenter.finish()
+    assert touch.intervals == ()
+
+
 def test_a_contact_detected_later_is_another_touch():
     """A brief contact stays in the list as a touch that never settled."""
     brush, touch = segments(

@@ -153,7 +153,6 @@ class FoxgloveSink(BackgroundWriter):
         super().__init__(server, "foxglove", log, MAX_QUEUED_READINGS, FLUSH_PERIOD, cause="the server")
 
 
-SCHEME = "ros2:"
 #: Topics that are recorded but not sent: raw readings at full rate, what only a replay needs, and meshes.
 LEFT_OUT = (schemas.RAW.name, schemas.BLOCK.name, schemas.SCENE.name)
 STATIC_PERIOD = 2.0  #: Interval at which the pose of the sensor is sent again, for a node that starts later [s].
@@ -173,7 +172,7 @@ class RosPublisher(MessageEncoder, UdpPublisher):
         Raises:
             InputError: the address is invalid, or the host is unknown.
         """
-        UdpPublisher.__init__(self, address.replace(SCHEME, "udp:", 1), log)
+        UdpPublisher.__init__(self, address, log, scheme="ros2")
         MessageEncoder.__init__(self, *models, frames=True)
         self._static_sent = dict.fromkeys(self._encoders, -math.inf)
 

@@ -18,6 +18,15 @@ from probedesign.live.processing.commands import CommandQueue
 from probedesign.live.sources.source import Source
 
 
+def open_publisher(address: str | None, models: Sequence[ProbeModel], log: Log) -> UdpPublisher | None:
+    """Return the publisher of --publish; raises InputError if its address is invalid."""
+    if address is not None and address.startswith("ros2:"):
+        from probedesign.live.outputs.message_streams import RosPublisher
+
+        return RosPublisher(address, models, log)
+    return None if address is None else UdpPublisher(address, log)
+
+
 @dataclass(frozen=True)
 class OutputOptions:
     """Outputs that the user selected."""
@@ -57,14 +66,6 @@ class OutputOptions:
             if record.exists() and replayed.exists() and record.samefile(replayed):
                 raise InputError(f"--record {record} is the recording being replayed; choose another file")
         check_overwrite(record, self.force)
-
-    def publisher(self, models: Sequence[ProbeModel], log: Log) -> UdpPublisher | None:
-        """Return the publisher; separate from the other sinks because an invalid address is reported first."""
-        if self.publish is not None and self.publish.startswith("ros2:"):
-            from probedesign.live.outputs.message_streams import RosPublisher
-
-            return RosPublisher(self.publish, models, log)
-        return None if self.publish is None else UdpPublisher(self.publish, log)
 
     def connect(
         self,

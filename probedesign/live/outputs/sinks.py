@@ -202,15 +202,15 @@ class UdpPublisher(Sink):
         dropped: number of datagrams that the system did not accept.
     """
 
-    def __init__(self, address: str, log: Log, option: str = "--publish") -> None:
-        """Resolve the address of the receiver, `udp://HOST:PORT`, that an option of the user states.
+    def __init__(self, address: str, log: Log, option: str = "--publish", scheme: str = "udp") -> None:
+        """Resolve the address of the receiver, as `udp://HOST:PORT`, that an option of the user states.
 
         Raises:
             InputError: the address is invalid, or the host is unknown.
         """
-        host, port = split_address(address, "udp") or ("", None)
+        host, port = split_address(address, scheme) or ("", None)
         if not host or not port:
-            raise InputError(f"{option} {address}: write udp://HOST:PORT, as udp://127.0.0.1:9000")
+            raise InputError(f"{option} {address}: write {scheme}://HOST:PORT, as {scheme}://127.0.0.1:9000")
         try:
             receiver = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
             self._socket, self._receiver = socket.socket(*receiver[:3]), receiver[4]
