@@ -145,18 +145,8 @@ def test_the_size_of_the_blocks_changes_nothing(size, estimator, motion):
         assert np.array_equal(mine.wrench_base, other.wrench_base)
 
 
-def test_poses_that_come_later_than_stated_are_noticed(estimator, motion):
-    """The base stops within 20 ms of readings: the delay of 60 ms is reported within a fifth."""
-    stream = (b for b in touch(motion) if b.time[-1] < REST_TIME + MOVE_TIME + PRESS_TIME + 2.0 * SPAN)
-    _, lines, _ = run(estimator, stream, reported_poses(motion, late=0.060))
-    (delay_line,) = [line for line in lines if "--pose-latency-ms" in line]
-    assert "instead of 0" in delay_line
-    assert 48.0 <= float(delay_line.split("try --pose-latency-ms ")[1].split()[0]) <= 72.0
-
-
 def test_poses_whose_latency_is_stated_are_taken_for_true(estimator, motion, touched):
-    answers, lines, _ = run(estimator, touch(motion), reported_poses(motion, late=0.060, latency=0.060))
-    assert not [line for line in [*lines, *touched[1]] if "--pose-latency-ms" in line]
+    answers, _, _ = run(estimator, touch(motion), reported_poses(motion, late=0.060, latency=0.060))
     last, same = (a[-1].contacts[0].fused for a in (answers, touched[0]))
     # The same poses at the same times, but for the rounding of time to nanoseconds: 1e-9 s at 13 mm/s.
     assert last.p_contact_world == pytest.approx(same.p_contact_world, abs=1e-9)

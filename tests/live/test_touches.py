@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from probedesign.core.frames import pose
-from probedesign.live.processing.touches import MAX_TRAVEL, SPAN, LatencyCheck, PhaseTracker, StationarityTest
+from probedesign.live.processing.touches import MAX_TRAVEL, SPAN, PhaseTracker, StationarityTest
 
 RATE = 200.0
 COUNT = int(SPAN * RATE)
@@ -69,16 +69,3 @@ def test_a_released_probe_is_free_after_a_span(model):
     states = [phases.next(t, r, pose()) for t, r in zip(touching, noise(model, len(touching)), strict=True)]
     assert states[10 : 10 + COUNT - 1] == ["released"] * (COUNT - 1)
     assert states[-1] == "free"
-
-
-@pytest.mark.parametrize(("late", "slips"), [(0.0, True), (0.0, False), (0.03, False), (-0.02, False)])
-def test_a_contact_that_slips_is_no_latency_of_the_poses(late, slips):
-    """A press of 1 mm by 100 standard deviations of the wrench in a second; slips are of five, and creep back."""
-    check, rng = LatencyCheck(np.eye(6)), np.random.default_rng(5)
-    time = np.arange(0.0, 3.0, 36 / 7000)
-    press = np.clip(time - 1.0, 0.0, 1.0)
-    moved = np.clip(time - 1.0 - late, 0.0, 1.0)
-    slip = 5.0 * np.exp(-((time - 1.6) % 0.45) / 0.1) * (time > 1.6) if slips else np.zeros(len(time))
-    for t, p, w in zip(time, moved, 100.0 * press - slip, strict=True):
-        check.add(t, np.array([1e-3 * p, 0.0, 0.0]), np.array([w, 0.0, 0.0, 0.0, 0.0, 0.0]) + rng.standard_normal(6))
-    assert check.delay() == pytest.approx(late, abs=0.002)

@@ -13,7 +13,7 @@ change; nothing moves and readings are collected. Three tests distinguish the ph
 
 import math
 from collections import deque
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import groupby
 from typing import Literal, NamedTuple
 
@@ -351,12 +351,11 @@ class TouchMonitor:
         )  # fmt: skip
         self._phases = PhaseTracker(model, rate / samples)
         self._follower = DriftFollower(model, self._detector.bias_filter, estimator.priors.drift_steps)
-        self._suspected, self._sure = -math.inf, False
+        self._sure = False
         #: Readings of the touch that are not fused yet, and whether the last ones were explained.
         self._unfused, self._explained = deque[_Reading](maxlen=self._phases.stationarity.readings), False
         self.in_motion, self._alarm, self._largest = False, math.nan, 0.0
         self.warming_up, self._next_check, self._held = False, -math.inf, _Held()
-        self._latency_check = LatencyCheck(model.whiten)
         self._tracker: Tracker | None = None
         if poses is not None and estimates:
             self._tracker = Tracker(
@@ -383,8 +382,6 @@ class TouchMonitor:
         self._last = batch.reading.time
         excess = self._excess(batch.block.wrench_sensor, gravity, tare)
         mean, decisions = excess.mean(axis=0), self._detector.run(excess, motion is None or motion.explained)
-        if decisions[-1] == "contact":
-            self._suspected = batch.reading.time
         if motion is not None and not self.warming_up:
             decisions = self._without_motion(decisions, mean, batch.reading.time, motion)
         turning = motion is not None and motion.turning  # an error of gravity then looks like a drift
@@ -408,10 +405,6 @@ class TouchMonitor:
         ended = self._contacts.update(batch.reading.time, phase, fused)
         if ended is not None and self._estimates:
             self._log(ended.summary)
-        if self._poses is not None and T_world_base is not None:
-            # Without the acceleration, which poses that are late put into the wrong readings.
-            mean = self._excess(batch.reading.wrench_sensor[None], self._poses.gravity(T_world_base), tare)[0]
-            self._check_latency(batch.reading.time, phase, mean, T_world_base)
         self._state = TouchState(phase, fused)
         return self._state
 
@@ -580,97 +573,3 @@ class TouchMonitor:
         if len(set(decisions)) == 1:
             return self._tracker.update(wrench, T, time, decisions[0])
         return FusedEstimate("no_contact")
-
-    def _check_latency(self, time: float, phase: Phase, excess: Array, T: Array) -> None:
-        """Check for every touch, when it settles, whether poses and wrench moved at the same time."""
-        assert self._poses is not None
-        if time - self._suspected > CONFIRM:
-            return self._latency_check.reset()
-        if phase == "settled" and self._state.phase == "touching":
-            delay_ms = 1e3 * self._latency_check.delay()
-            if abs(delay_ms) > 1e3 * MIN_REPORTED:
-                stated = 1e3 * self._poses.latency
-                self._log(
-                    f"poses: in this touch they are {abs(delay_ms):.0f} ms {'later' if delay_ms > 0 else 'earlier'} "
-                    f"than stated, by the wrench; try --pose-latency-ms {stated + delay_ms:.0f} instead of {stated:g}"
-                )
-        self._latency_check.add(time, T[:3, 3], excess)
-
-
-MAX_SHIFT = 0.200  #: Maximum shift that is tested, in both directions [s].
-SHIFT_STEP = 0.004  #: Step between shifts [s].
-#: Minimum latency that is reported [s]: at 10 mm/s it is 0.1 mm, the tolerance of a tracker's keyframe.
-MIN_REPORTED = 0.010
-MIN_CHI2_GAIN = 25.0  #: Minimum decrease of χ² by the shift: five standard deviations.
-#: Share of χ² that a shift explains, at least, where it leaves more than noise: a contact that sticks and slips leaves
-#: twice the noise, whatever the shift, and a fifth of that follows a shift by chance.
-MIN_EXPLAINED = 0.5
-MAX_STD_SHARE = 0.2  #: Maximum standard deviation of the shift, as a fraction of `MIN_REPORTED`.
-MIN_TRAVEL = 0.5e-3  #: Minimum travel of the base [m].
-MAX_INTERVAL = 0.1  #: Maximum interval between readings of a touch [s].
-MIN_READINGS = 20  #: Minimum number of readings within the range of all shifts.
-LATENCY_SPAN = 4.0  #: Length of the last part of a touch that is used [s].
-MAX_READINGS = 800  #: Maximum number of readings: `LATENCY_SPAN` at 7000/36 readings per second.
-
-
-@dataclass
-class LatencyCheck:
-    """Collects the readings of one touch and estimates the latency of its poses.
-
-    While the probe touches, its wrench follows the base: a press that starts or stops must show in both at once. The
-    base's travel along its principal direction and the wrench along its own are compared with a time shift; the shift
-    at which a parabola of the travel fits the wrench best is the remaining latency. The probe is assumed to follow
-    without delay; a soft probe that creeps looks like poses that are early.
-    """
-
-    whiten: Array  #: whitening matrix of one reading, (6, 6).
-    _readings: deque[tuple[float, Array, Array]] = field(default_factory=lambda: deque(maxlen=MAX_READINGS))
-
-    def add(self, time: float, p_world_base: Array, wrench: Array) -> None:
-        """Add a reading of the touch [s, m, N and N·m]; a gap starts another touch."""
-        if self._readings and time - self._readings[-1][0] > MAX_INTERVAL:
-            self.reset()
-        self._readings.append((time, p_world_base, self.whiten @ wrench))
-        while time - self._readings[0][0] > LATENCY_SPAN:
-            self._readings.popleft()
-
-    def reset(self) -> None:
-        """Discard the readings: the touch is over."""
-        self._readings.clear()
-
-    def delay(self) -> float:
-        """Return by how much the poses are later than stated [s]; NaN if the touch does not determine it."""
-        if len(self._readings) < MIN_READINGS:
-            return math.nan
-        time = np.array([t for t, _, _ in self._readings])
-        travel = _principal_component(np.array([p for _, p, _ in self._readings]))
-        wrench = _principal_component(np.array([w for _, _, w in self._readings]))
-        inside = (time >= time[0] + MAX_SHIFT) & (time <= time[-1] - MAX_SHIFT)
-        if inside.sum() < MIN_READINGS or np.ptp(travel[inside]) < MIN_TRAVEL:
-            return math.nan
-        shifts = np.arange(-MAX_SHIFT, MAX_SHIFT + 0.5 * SHIFT_STEP, SHIFT_STEP)
-        residuals = np.array([_residual(np.interp(time[inside] + s, time, travel), wrench[inside]) for s in shifts])
-        i = int(np.argmin(residuals))
-        noise = max(1.0, residuals[i] / (inside.sum() - 4))
-        unshifted = residuals[len(shifts) // 2]
-        gain, free = unshifted - residuals[i], float(inside.sum() - 4)
-        fits = residuals[i] <= free + 5.0 * math.sqrt(2.0 * free)
-        if gain < MIN_CHI2_GAIN * noise or not (fits or gain >= MIN_EXPLAINED * unshifted):
-            return 0.0
-        if i in (0, len(shifts) - 1):
-            return math.nan
-        before, here, after = residuals[i - 1 : i + 2]
-        bend = before - 2.0 * here + after
-        delay = float(shifts[i] + 0.5 * SHIFT_STEP * (before - after) / bend)
-        std = SHIFT_STEP * math.sqrt(2.0 * noise / bend)  # where χ² increases by one
-        return delay if std < MAX_STD_SHARE * MIN_REPORTED else math.nan
-
-
-def _principal_component(rows: Array) -> Array:
-    centred = rows - rows.mean(axis=0)
-    return np.asarray(centred @ np.linalg.svd(centred, full_matrices=False)[2][0], dtype=float)
-
-
-def _residual(travel: Array, wrench: Array) -> float:
-    columns = np.stack([np.ones_like(travel), travel, travel * travel], axis=1)
-    return float(np.sum((wrench - columns @ np.linalg.lstsq(columns, wrench)[0]) ** 2))
