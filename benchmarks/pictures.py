@@ -53,8 +53,9 @@ def report(out: Path = OUT) -> None:
             rows += _pictures(browser, name.removesuffix(".html").replace("/", "-"), address, out, 1500)
         with _studio() as address:
             rows += _pictures(browser, "studio", address, out, 8000)
-        with chdir(folder), _live() as address:
-            rows += _pictures(browser, "live", address, out, 6000)
+        for name, source in (("live", "sim:?seconds=600"), ("calibrate", "sim:?orientations=12&payload_g=3")):
+            with chdir(folder), _live(name, source) as address:
+                rows += _pictures(browser, name, address, out, 6000)
         browser.close()
     print_table(f"Pictures in {out}", ["page", "picture", "errors", "requests to a network", "cut off [px]",
                                           "texts of low contrast"], rows)  # fmt: skip
@@ -96,12 +97,12 @@ def _studio() -> Iterator[str]:
 
 
 @contextmanager
-def _live() -> Iterator[str]:
-    """Run the live view of the demo's probe on a simulated source."""
+def _live(command: str, source: str) -> Iterator[str]:
+    """Run `live` or `calibrate` with its page, with the demo's probe and a simulated source."""
     probe = next(Path.cwd().rglob("*.probe.json"))
     program = "import sys; from probedesign.cli.main import main; sys.exit(main())"
-    command = [sys.executable, "-c", program, "live", str(probe), "--source", "sim:?seconds=600", "--view"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as running:
+    words = [sys.executable, "-c", program, command, str(probe), "--source", source, "--view"]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as running:
         assert running.stdout is not None
         try:
             for line in running.stdout:

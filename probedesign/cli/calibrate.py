@@ -1,13 +1,16 @@
 """`probedesign calibrate`: bias, payload, mount and stiffness from a robot that turns the free probe."""
 
 import math
+import sys
 from collections.abc import Iterable
 from contextlib import ExitStack, closing, suppress
 from itertools import takewhile
 from pathlib import Path
-from typing import TYPE_CHECKING
+from threading import Event
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
+from cyclopts import Parameter
 
 from probedesign.cli.console import interrupt_on_termination, json_bytes, print_json, print_note, print_table
 from probedesign.cli.options import FrozenProbeIfAny, JsonOutput
@@ -17,6 +20,7 @@ from probedesign.core.units import GRAM, MM, MPA
 
 if TYPE_CHECKING:
     from probedesign.live.processing.payload import FreeMotionFit
+    from probedesign.live.view.state import GuideState
 
 KIND = "probedesign tool calibration"
 
@@ -35,6 +39,10 @@ def calibrate(
     count: int | None = None,
     seconds: float | None = None,
     manifest: Path | None = None,
+    view: bool = False,
+    view_host: str = "127.0.0.1",
+    view_port: int = 8080,
+    open_: Annotated[bool, Parameter(name="--open", negative="--no-open")] = True,
     as_json: JsonOutput = False,
 ) -> None:
     """Measure bias, payload, mount and stiffness with a robot that turns the free probe.
@@ -54,79 +62,115 @@ def calibrate(
         count: end after this number of rests.
         seconds: end this many seconds after the first reading.
         manifest: manifest.json of the printed parts; its geometry must be the bundle's.
+        view: guide on a page in the browser, which shows the result as well.
+        view_host: address on which the page is served. 0.0.0.0 makes it accessible from the network.
+        view_port: port of the page, or the next free one.
+        open_: open the page in a browser, if the output is a terminal.
     """
     from probedesign import pipeline
+    from probedesign.estimation.estimator import Estimator
     from probedesign.frozen_probe import write_frozen
     from probedesign.live.blocks import limit_duration
     from probedesign.live.poses.open import open_poses
+    from probedesign.live.processing.commands import CommandQueue
     from probedesign.live.processing.payload import RestCollector, calibrate, tool_model
     from probedesign.live.sources.source import open_source
+    from probedesign.live.view.sinks import BrowserView
+    from probedesign.live.view.state import GuideState
 
     if tool == (bundle is not None):
         raise InputError("give the frozen probe, or --tool for a sensor with another tool, and not both")
     for name, value in (("count", count), ("seconds", seconds)):
         if value is not None and not value > 0:
             raise InputError(f"--{name} {value} must be positive")
-    model = tool_model() if bundle is None else pipeline.load_estimator(bundle, manifest).model
-    if out is None:
-        beside = Path() if bundle is None else bundle if bundle.is_dir() else bundle.parent
-        out = beside / ("tool.calibration.json" if tool else f"{model.name}.calibrated.probe.json")
+    estimator = Estimator(tool_model()) if bundle is None else pipeline.load_estimator(bundle, manifest)
+    model, beside = estimator.model, _folder(bundle)
+    out = out or beside / ("tool.calibration.json" if tool else f"{model.name}.calibrated.probe.json")
     check_overwrite(out, force)
-    with ExitStack() as inputs, interrupt_on_termination():
-        opened = open_source(source, model, print_note)
-        simulated = getattr(opened, "poses", None)
-        if not pose and simulated is None:
-            raise InputError("--pose is missing: the orientations of the robot, as ur://HOST or FILE.csv")
-        poses = open_poses(pose, pose_latency_ms, gravity_world, print_note) if pose else simulated
-        if poses is None:
-            raise InputError("--pose fixed does not turn: give the poses of the robot, as ur://HOST or FILE.csv")
-        inputs.callback(poses.close)
-        collector = RestCollector(model, poses, print_note, tool=tool)
-        with suppress(KeyboardInterrupt), closing(iter(opened)) as stream:
-            blocks = stream if seconds is None else limit_duration(stream, seconds)
-            for block in takewhile(lambda _: count is None or len(collector.rests) < count, blocks):
-                collector.add(block)
-    fit = calibrate(model, collector.finish(), poses.gravity_world, tool=tool)
-    result = fit.as_dict()
-    if tool:
-        write_atomically(out, json_bytes({"kind": KIND, "schema": 1, **result}), replace=force)
-    else:
-        write_frozen(fit.calibrated(), out)
+    with ExitStack() as page:
+        with ExitStack() as inputs, interrupt_on_termination():
+            opened = open_source(source, model, print_note)
+            poses = getattr(opened, "poses", None)
+            if pose:
+                poses = open_poses(pose, pose_latency_ms, gravity_world, print_note)
+            if poses is None:
+                why = "fixed does not turn: give the poses" if pose else "is missing: the orientations"
+                raise InputError(f"--pose {why} of the robot, as ur://HOST or FILE.csv")
+            inputs.callback(poses.close)
+
+            def log(line: str) -> None:
+                print_note(line)
+                state.on_event(math.nan, line)
+
+            collector, commands = RestCollector(model, poses, log, tool=tool), CommandQueue()
+            state = GuideState(collector, model, poses.gravity_world)
+            if view:
+                page.callback(BrowserView(
+                    {"": state}, [(estimator, beside)], commands, print_note, view_host, view_port,
+                    open_browser=open_ and sys.stdout.isatty(), guided=True,
+                ).close)  # fmt: skip
+            with suppress(KeyboardInterrupt), closing(iter(opened)) as stream:
+                blocks = stream if seconds is None else limit_duration(stream, seconds)
+                for block in takewhile(lambda _: count is None or len(collector.rests) < count, blocks):
+                    state.on_samples(block)
+                    collector.add(block)
+                    if commands.execute(log):
+                        break
+        fit = calibrate(model, collector.finish(), poses.gravity_world, tool=tool)
+        if tool:
+            write_atomically(out, json_bytes({"kind": KIND, "schema": 1, **fit.as_dict()}), replace=force)
+        else:
+            write_frozen(fit.calibrated(), out)
+        _report(fit, out, as_json, state)
+        if view and sys.stdout.isatty():
+            print_note("the page stays open until Ctrl-C")
+            with suppress(KeyboardInterrupt):
+                Event().wait()
+
+
+def _report(fit: "FreeMotionFit", out: Path, as_json: bool, page: "GuideState") -> None:
+    """Print the result, and show it on the page."""
+    rows, verdict = _rows(fit), f"{len(fit.rests)} rests: {fit.verdict}"
+    page.show_result(verdict, fit.verdict == "ok", {"file": str(out), **rows})
     if as_json:
-        print_json({"file": out, **result})
-        return
-    _print(fit)
+        return print_json({"file": out, **fit.as_dict()})
+    print(verdict)
+    print_table(rows)
     print(f"wrote {out}")
 
 
-def _print(fit: "FreeMotionFit") -> None:
+def _folder(bundle: Path | None) -> Path:
+    return Path() if bundle is None else bundle if bundle.is_dir() else bundle.parent
+
+
+def _rows(fit: "FreeMotionFit") -> dict[str, str]:
+    """Return the results with their standard deviations, by name."""
     from scipy.spatial.transform import Rotation
 
     from probedesign.live.processing.payload import BIAS, MASS, RATE, STIFFNESS, TURN
 
+    def measured(value: float, std: float, unit: float) -> str:
+        """Return a value to two digits of its standard deviation."""
+        digits = max(1 - math.floor(math.log10(std / unit)), 0) if 0.0 < std < math.inf else 4
+        return f"{value / unit:z.{digits}f} ± {std / unit:.{digits}f}"
+
     std, model = fit.std, fit.model
     numbers: dict[str, tuple[Iterable[float], Iterable[float], list[float], str]] = {
-        "bias": (fit.x[BIAS], std[BIAS], [1e-3] * 6, "mN, N·mm"),
-        "its drift": (fit.x[RATE], std[RATE], [1e-3 / 60.0] * 6, "mN, N·mm a minute"),
         "payload": ([fit.mass], [std[MASS]], [GRAM], "g"),
         "its centre": (fit.p_com, np.sqrt(np.diag(fit.cov_com)), [MM] * 3, "mm in sensor axes"),
         "mount": (Rotation.from_matrix(fit.R).as_rotvec(), std[TURN], [math.radians(1.0)] * 3, "° about x, y, z"),
+        "bias": (fit.x[BIAS], std[BIAS], [1e-3] * 6, "mN, N·mm"),
+        "its drift": (fit.x[RATE], std[RATE], [1e-3 / 60.0] * 6, "mN, N·mm a minute"),
     }  # fmt: skip
     if not fit.tool:
         E = math.exp(fit.x[STIFFNESS]) * model.rod.youngs_modulus
-        numbers["E"] = ([E], [std[STIFFNESS] * E], [MPA], "MPa")
+        numbers = {"E": ([E], [std[STIFFNESS] * E], [MPA], "MPa"), **numbers}
     force, moment = (1e3 * np.sqrt((fit.residuals[:, part] ** 2).mean()) for part in (slice(0, 3), slice(3, 6)))
-    print(f"{len(fit.rests)} rests: {fit.verdict}")
-    texts = {
-        name: ", ".join(f"{v / u:.4g} ± {s / u:.2g}" for v, s, u in zip(values, stds, units, strict=True)) + f" {unit}"
-        for name, (values, stds, units, unit) in numbers.items()
-    }
-    print_table({**texts, "residual": f"{force:.3g} mN, {moment:.3g} N·mm"})
+    rows = {name: f"{', '.join(map(measured, *values))} {unit}" for name, (*values, unit) in numbers.items()}
+    rows["residual"] = f"{force:.3g} mN, {moment:.3g} N·mm"
     T = fit.calibrated().T_robotflange_base if not fit.tool else None
     if T is not None:
         x, y, z = T[:3, 3] / MM
         rx, ry, rz = Rotation.from_matrix(T[:3, :3]).as_rotvec()
-        print(f"  tool centre point of the robot: {x:.2f}, {y:.2f}, {z:.2f} mm, rotation vector {rx:.4f}, {ry:.4f}, "
-              f"{rz:.4f} rad")  # fmt: skip
-    for note in fit.notes:
-        print(f"  note: {note}")
+        rows["robot's TCP"] = f"{x:.2f}, {y:.2f}, {z:.2f} mm, rotation vector {rx:z.4f}, {ry:z.4f}, {rz:z.4f} rad"
+    return rows | {f"note {i + 1}": note for i, note in enumerate(fit.notes)}

@@ -3,6 +3,7 @@
 import json
 import math
 from dataclasses import replace
+from itertools import groupby
 
 import numpy as np
 import pytest
@@ -15,7 +16,19 @@ from probedesign.live.blocks import Block
 from probedesign.live.poses.base_poses import BasePoses, pose_from_matrix
 from probedesign.live.processing import payload as calibration
 from probedesign.live.processing.chain import Chain, ProcessingOptions
-from probedesign.live.processing.payload import MASS, STIFFNESS, TURN, Rest, RestCollector, calibrate
+from probedesign.live.processing.payload import (
+    AVERAGING,
+    MASS,
+    MEASURED,
+    MOVING,
+    STIFFNESS,
+    SWAYING,
+    TURN,
+    Rest,
+    RestCollector,
+    calibrate,
+    guide,
+)
 from probedesign.live.processing.tare import TareWindow
 
 DOWN = np.array([0.0, 0.0, -9.81])
@@ -211,31 +224,48 @@ def blocks(model, t, read):
 
 
 def collected(model, t, read, poses):
-    lines = []
+    lines, states = [], []
     collector = RestCollector(model, poses, lines.append)
     for block in blocks(model, t, read):
         collector.add(block)
-    return collector.finish(), lines
+        states.append(collector.guide)
+    return collector.finish(), lines, states
 
 
 def test_only_readings_at_rest_are_used(model):
     t, read, poses = turning(model, SIX, np.random.default_rng(6))
-    rests, lines = collected(model, t, read, poses)
+    rests, lines, states = collected(model, t, read, poses)
     assert len(rests) == len(SIX)
     for rest, R in zip(rests, SIX, strict=True):
         free = model.to_sensor(model.rod.solve(R.T @ DOWN).wrench_base, R.T @ DOWN)
         # Five standard deviations of the mean; a reading while it turns is off by 0.1 N.
         assert (np.abs(rest.wrench - free) < 5.0 * rest.std).all()
         np.testing.assert_allclose(rest.R, R, atol=1e-9)
-    assert "turn it so that x and then y and then z points up and down" in lines[1]
+    assert lines[0].endswith("turn it so that z points down; needed: x, y, z up and down, 5 more orientations")
     assert lines[-1].startswith("orientation 6: measured; enough")
+    seen = [state for state, _ in groupby(each.state for each in states)]
+    assert seen == [SWAYING, AVERAGING, MEASURED, MOVING] * len(SIX)
+    np.testing.assert_allclose(states[-1].measured, SIX[:, 2], atol=1e-9)
+
+
+def test_the_guide_leads_to_enough_orientations_in_six():
+    """The next one is given until there are six directions, and gravity has turned along every axis."""
+    turned = []
+    while (following := guide(turned, DOWN).following) is not None:
+        turned.append(Rotation.align_vectors([[0.0, 0.0, 1.0]], [following])[0].as_matrix())
+    assert len(turned) == 6 and guide(turned, DOWN).enough
+    # Turned about z alone, z is missing whatever the number.
+    around = [SIX[2] @ Rotation.from_rotvec([0.0, 0.0, a]).as_matrix() for a in np.linspace(0.0, 5.0, 8)]
+    assert abs(guide(around, DOWN).following[2]) == 1.0 and not guide(around, DOWN).enough
 
 
 def test_a_rest_that_is_touched_halfway_is_refused(model):
     t, read, poses = turning(model, SIX[:2], np.random.default_rng(7))
     read[(t > 3.0) & (t < 4.0), 0] += 0.2
-    rests, lines = collected(model, t, read, poses)
+    rests, lines, states = collected(model, t, read, poses)
     assert len(rests) == 1
+    np.testing.assert_allclose(states[-1].refused, SIX[:1, 2], atol=1e-9)
+    assert len(states[-1].measured) == 1
     assert any("Fx scatters" in line and "touched or moving?" in line for line in lines)
 
 
@@ -277,7 +307,9 @@ def test_the_command_writes_a_copy_of_the_frozen_probe(frozen, capsys, model):
     assert run(["calibrate", str(frozen), "--source", SIM]) == 2
     assert "exists already" in capsys.readouterr().err
     assert run(["calibrate", str(frozen), "--source", SIM, "--force"]) == 0
-    assert f"payload     {1e3 * document['mass_kg']:.4g} ± " in capsys.readouterr().out
+    (line,) = [line for line in capsys.readouterr().out.splitlines() if line.startswith("  payload")]
+    value, std = line.removeprefix("  payload").removesuffix(" g").split(" ± ")
+    assert abs(float(value) - 1e3 * document["mass_kg"]) <= 0.05 * float(std)  # two digits of it
 
 
 def test_a_tool_is_calibrated_from_a_recording(tmp_path, capsys, model):

@@ -21,12 +21,14 @@ import pytest
 
 from probedesign.cli.main import run
 from probedesign.core.errors import InputError, MissingDependencyError
+from probedesign.live.blocks import group_readings, iter_readings
 from probedesign.live.processing.chain import ProcessingOptions
 from probedesign.live.processing.commands import COMMANDS, CommandQueue
+from probedesign.live.processing.payload import RestCollector
 from probedesign.live.run import estimate_stream
 from probedesign.live.sources.sim import SimulatedSource
 from probedesign.live.view.sinks import BrowserView
-from probedesign.live.view.state import ViewState
+from probedesign.live.view.state import GuideState, ViewState
 from tests.reports.page_checks import PATIENCE, SOFTWARE, browser
 
 pytest.importorskip("viser")
@@ -299,6 +301,46 @@ def test_a_browser_that_is_cut_off_shows_no_value_as_current(view, tab):
     finally:
         view._process.send_signal(signal.SIGCONT)
     banner.wait_for(state="hidden", timeout=PATIENCE)
+
+
+def test_a_calibration_is_guided_by_the_page(estimator, tmp_path):
+    """What is next, the state of the rest, and the result; it can be finished from the page once it is enough."""
+    model, requests = estimator.model, CommandQueue()
+    source = SimulatedSource(model, "orientations=7&speed=max&rate_hz=25")
+    collector = RestCollector(model, source.poses, lambda line: state.on_event(0.0, line))
+    state = GuideState(collector, model, source.poses.gravity_world, clock=lambda: 0.0)  # readings do not age
+    view = BrowserView({"": state}, [(estimator, tmp_path)], requests, print, port=free_port(), guided=True)
+    stream = group_readings(iter_readings(source))
+
+    def feed(until):
+        for block in stream:
+            state.on_samples(block)
+            collector.add(block)
+            if block.time[-1] > until:
+                return
+
+    with contextlib.closing(view), browser(*SOFTWARE) as running:
+        tab = running.new_page(viewport={"width": 1000, "height": 800})
+        feed(1.2)
+        tab.goto(view.url, timeout=PATIENCE)
+        tab.get_by_text(re.compile(r"hold still: \d+%")).first.wait_for(timeout=PATIENCE)
+        feed(3.5)
+        tab.get_by_text("measured: turn the base on").first.wait_for(timeout=PATIENCE)
+        for text in ("next: turn it so that z points down", "1 orientations, of at least 6", "Events"):
+            tab.get_by_text(text).first.wait_for(timeout=PATIENCE)
+        button = tab.locator("button", has_text="Finish")
+        assert button.is_disabled() and not tab.locator("button", has_text="Tare").is_visible()
+        feed(100.0)
+        assert_eventually(button.is_enabled)
+        # Seven points lie in the halves, of which the four on the rim are in both.
+        assert tab.locator('svg[aria-label="orientations measured"] circle[r="6"]').count() >= 7
+        button.dispatch_event("click")
+        assert_eventually(lambda: requests.execute(print))
+        state.show_result("7 rests: ok", True, {"payload": "12.40 ± 0.01 g"})
+        for text in ("7 rests: ok", "12.40 ± 0.01 g"):
+            tab.get_by_text(text).first.wait_for(timeout=PATIENCE)
+        assert_eventually(button.is_disabled)
+        tab.close()
 
 
 @pytest.mark.slow

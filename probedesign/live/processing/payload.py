@@ -15,6 +15,7 @@ from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -92,14 +93,57 @@ def spread_along(R: Sequence[Array], gravity_world: Array) -> tuple[float, int, 
     return float(along), int(np.argmax(np.abs(vectors[:, 0]))), down.std(axis=0)
 
 
-def orientations(R: Sequence[Array], gravity_world: Array) -> int:
-    """Return the number of directions of gravity in the axes of the base that differ by `MIN_TURN`."""
-    directions: list[Array] = []
+def orientations(R: Sequence[Array], gravity_world: Array) -> Array:
+    """Return the upward directions in the axes of the base that differ by `MIN_TURN`, (k, 3)."""
+    directions = np.empty((0, 3))
     for each in R:
-        down = each.T @ gravity_world / np.linalg.norm(gravity_world)
-        if all(float(down @ other) < math.cos(MIN_TURN) for other in directions):
-            directions.append(down)
-    return len(directions)
+        up = -each.T @ gravity_world / np.linalg.norm(gravity_world)
+        if (directions @ up < math.cos(MIN_TURN)).all():
+            directions = np.vstack([directions, up])
+    return directions
+
+
+#: What the base is doing while it is calibrated.
+MOVING, SWAYING, AVERAGING, MEASURED = (
+    "moving",
+    "hold still: the probe sways",
+    "hold still",
+    "measured: turn the base on",
+)
+
+
+class Guide(NamedTuple):
+    """What was measured and what is missing; directions are upward ones in the axes of the base."""
+
+    measured: Array  #: directions of the orientations that were measured, (k, 3).
+    refused: Array  #: directions of the rests that were not used, (j, 3).
+    now: Array | None  #: present direction, (3,); None without a pose.
+    following: Array | None  #: direction that is to be measured next, ± an axis, (3,); None: any.
+    text: str  #: `following` and what is missing, in one line.
+    state: str  #: `MOVING` ... `MEASURED`, or why nothing is measured.
+    progress: float = 0.0  #: share of the present rest that was averaged.
+
+    @property
+    def enough(self) -> bool:
+        """Whether the orientations suffice."""
+        return self.text.startswith("enough")
+
+
+def guide(R: Sequence[Array], gravity_world: Array) -> Guide:
+    """Return which orientation is next after those of the bases R, (3, 3) each."""
+    measured, (*_, along) = orientations(R, gravity_world), spread_along(R or [np.eye(3)], gravity_world)
+    missing = [axis for axis, spread in zip("xyz", along.tolist(), strict=True) if spread < WANTED_SPREAD]
+    n = MIN_ORIENTATIONS - len(measured)
+    text, following = "enough; more orientations narrow the result", None
+    ends = np.vstack([np.eye(3), -np.eye(3)])
+    near = (measured @ ends.T).max(axis=0, initial=-1.0) - 2.0 * np.array([axis in missing for axis in "xyzxyz"])
+    if missing or n > 0:
+        i = int(np.argmin(near))
+        following = ends[i]
+        needed = [f"{', '.join(missing)} up and down"] if missing else []
+        needed += [f"{n} more orientation{'s' * (n > 1)}"] if n > 0 else []
+        text = f"next: turn it so that {'xyz'[i % 3]} points {'up' if i < 3 else 'down'}; needed: {', '.join(needed)}"
+    return Guide(measured, np.empty((0, 3)), None, following, text, "no reading")
 
 
 class RestCollector:
@@ -107,16 +151,19 @@ class RestCollector:
 
     Attributes:
         rests: those that were completed.
+        guide: what was measured, what is missing, and the present state; replaced with each reading.
+        R: present rotation of the base in the world, (3, 3).
     """
 
     def __init__(self, model: ProbeModel, poses: BasePoses, log: Log, *, tool: bool = False) -> None:
         """Start with no readings; `log` receives what was done and what is missing."""
         self.rests: list[Rest] = []
+        self.guide, self.R = guide((), poses.gravity_world), np.eye(3)
         self._model, self._poses, self._log, self._tool = model, poses, log, tool
         self._averager = Averager(1 if tool else None, model, log)
         self._motion = MotionMonitor(model, poses)
         self._waiting, self._still = deque[AveragedBatch](), list[AveragedBatch]()
-        self._since, self._last = math.nan, math.nan
+        self._since = math.nan
 
     def add(self, block: Block) -> None:
         """Add readings."""
@@ -139,53 +186,63 @@ class RestCollector:
         reading = batch.reading
         self._motion.update(reading.time)
         T = self._poses.track.at(reading.time)
-        rests = self._motion.at_rest and self._motion.explained
-        if T is None or not rests or reading.fault or not self._model.in_range(reading.wrench_sensor):
+        fault = "no pose of the base" if T is None else reading.fault
+        if not fault and not self._model.in_range(reading.wrench_sensor):
+            fault = "a reading is out of range"
+        self.R = self.R if T is None else T[:3, :3]
+        if fault or not (self._motion.at_rest and self._motion.explained):
             self._close()
-            return
+            return self._show(fault or (SWAYING if self._motion.at_rest else MOVING))
         if math.isnan(self._since):
             self._since = reading.time
         if reading.time - self._since < SETTLE:
-            return
+            return self._show(SWAYING)
         complete = self._complete
         self._still.append(batch)
         if self._complete and not complete:
-            R = [*(rest.R for rest in self.rests), T[:3, :3]]
-            self._log(f"orientation {orientations(R, self._poses.gravity_world)}: measured; {self.guidance(R)}")
+            self._advise([*(rest.R for rest in self.rests), self.R])
+            self._log(f"orientation {len(self.guide.measured)}: measured; {self.guide.text}")
+        share = min((reading.time - self._still[0].reading.time) / REST_TIME, 1.0)
+        self._show(MEASURED if self._complete else AVERAGING, share)
+
+    def _advise(self, R: Sequence[Array]) -> None:
+        self.guide = guide(R, self._poses.gravity_world)._replace(refused=self.guide.refused)
+
+    def _show(self, state: str, progress: float = 0.0) -> None:
+        g = self._poses.gravity_world
+        up = -self.R.T @ g / np.linalg.norm(g)
+        self.guide = self.guide._replace(now=up, state=state, progress=progress)
 
     @property
     def _complete(self) -> bool:
         n = len(self._still)
         return n >= MIN_READINGS and self._still[-1].reading.time - self._still[0].reading.time >= REST_TIME
 
-    def guidance(self, R: Sequence[Array]) -> str:
-        """Return which turn is missing in one line."""
-        *_, along = spread_along(R, self._poses.gravity_world)
-        missing = [axis for axis, spread in zip("xyz", along.tolist(), strict=True) if spread < WANTED_SPREAD]
-        n = MIN_ORIENTATIONS - orientations(R, self._poses.gravity_world)
-        wanted = [f"turn it so that {' and then '.join(missing)} points up and down"] if missing else []
-        wanted += [f"{n} more orientations"] if n > 0 else []
-        return "still missing: " + "; ".join(wanted) if wanted else "enough; more orientations narrow the result"
-
     def _close(self) -> None:
         """End the present rest; keep it if it is long enough and does not scatter."""
         # A mean that reaches beyond the middle of the last one may end in motion.
         self._still = [b for b in self._still if b.block.time[-1] <= self._still[-1].reading.time]
         still, complete, self._still, self._since = self._still, self._complete, [], math.nan
-        if not complete:
-            return
+        if complete:
+            self._keep(still)
+        if still:
+            self._advise([rest.R for rest in self.rests])
+
+    def _keep(self, still: list[AveragedBatch]) -> None:
         time, wrench = np.array([b.reading.time for b in still]), np.array([b.reading.wrench_sensor for b in still])
         since, n = time - time.mean(), len(time)
         line = np.outer(since, since @ wrench / float(since @ since))
         scatter = (wrench - wrench.mean(axis=0) - line).std(axis=0, ddof=2)
         noise = scatter if self._tool else self._model.noise.std
+        T = self._poses.track.at(float(time[n // 2]))
+        assert T is not None  # it was known for each reading
         if (scatter > MAX_SCATTER * noise).any():
             i = int(np.argmax(scatter / noise))
             self._log(f"the rest at {time[0]:.6g} s is not used: {CHANNELS[i]} scatters by {scatter[i] / noise[i]:.2g} "
                       "times its noise; touched or moving?")  # fmt: skip
+            refused = orientations([T[:3, :3]], self._poses.gravity_world)
+            self.guide = self.guide._replace(refused=np.vstack([self.guide.refused, refused]))
             return
-        T = self._poses.track.at(float(time[n // 2]))
-        assert T is not None  # it was known for each reading
         self.rests.append(
             Rest(float(time.mean()), wrench.mean(axis=0), noise / math.sqrt(n), T[:3, :3], n, float(time[-1] - time[0]))
         )
@@ -349,7 +406,7 @@ class FreeMotionFit:
             "probe": None if self.tool else self.model.name,
             "verdict": self.verdict,
             "inconsistent_channels": self.inconsistent,
-            "orientations": orientations([rest.R for rest in self.rests], self.gravity_world),
+            "orientations": len(orientations([rest.R for rest in self.rests], self.gravity_world)),
             "rests": len(self.rests),
             "dropped_s": self.dropped,
             "time_s": self._time,
@@ -493,7 +550,7 @@ def _notes(fit: FreeMotionFit, prior: Array) -> list[str]:
 
 def _check_turns(R: Sequence[Array], gravity_world: Array, frame: str) -> None:
     """Raise InputError unless gravity turns enough; the message names the missing axis of the `frame`."""
-    count, (least, axis, _) = orientations(R, gravity_world), spread_along(R, gravity_world)
+    count, (least, axis, _) = len(orientations(R, gravity_world)), spread_along(R, gravity_world)
     if len(R) > 1 and least < MIN_SPREAD:
         raise InputError(
             f"gravity hardly changes along the {frame}'s {'xyz'[axis]} axis ({count} orientations): turn it so that "

@@ -27,6 +27,7 @@ from viser import uplot
 from probedesign.core.frames import Array
 from probedesign.core.statistics import ellipsoid_95
 from probedesign.core.units import MILLINEWTON, MM, N_MM
+from probedesign.live.processing.payload import Guide
 from probedesign.live.view.state import CHART_SECONDS, CLOUD, MAX_TOUCHES, PageSetup, SceneSetup, Snapshot, StripCharts
 from probedesign.web.guard import LoopbackServer, protect
 from probedesign.web.scene import (
@@ -47,8 +48,9 @@ from probedesign.web.scene import (
 
 #: Colours of levels, readable on light and on dark ground.
 STYLE = """
-:root { --pd-good: #1b7f4b; --pd-fair: #9a5b00; --pd-bad: #b3261e; --pd-plain: #46525e; --pd-dim: #66717c; }
-[data-mantine-color-scheme="dark"] { --pd-dim: #9aa5b0; }
+:root { --pd-good: #1b7f4b; --pd-fair: #9a5b00; --pd-bad: #b3261e; --pd-plain: #46525e; --pd-dim: #66717c;
+  --pd-guide-done: #1b7f4b; --pd-guide-now: #c26a00; }
+[data-mantine-color-scheme="dark"] { --pd-dim: #9aa5b0; --pd-guide-done: #4fc78a; --pd-guide-now: #f0b050; }
 .pd { padding: 8px 16px; font-size: 15px; line-height: 1.5; }
 .pd table { width: 100%; border-collapse: collapse; }
 .pd td { vertical-align: top; padding: 0; }
@@ -106,7 +108,8 @@ def status_html(snapshot: Snapshot, beat: int = 0, title: str = "") -> str:
     return (
         f'<div class="pd" data-beat="{beat}">{escape(title)}'
         f'<div class="pd-banner pd-{first.level}">{escape(first.text)}</div>'
-        f'<table class="{"pd-old" if snapshot.stale else ""}">{"".join(rows)}</table></div>'
+        f'<table class="{"pd-old" if snapshot.stale else ""}">{"".join(rows)}</table>'
+        f"{guide_html(snapshot.guide) if snapshot.guide else ''}</div>"
     )
 
 
@@ -115,6 +118,46 @@ def events_html(snapshot: Snapshot) -> str:
     times = [f"{event.time:.1f} s" if math.isfinite(event.time) else "" for event in snapshot.events]
     rows = [f"<tr><td>{t}</td><td>{escape(e.line)}</td></tr>" for t, e in zip(times, snapshot.events, strict=True)]
     return f'<div class="pd pd-small"><table>{"".join(reversed(rows))}</table></div>'
+
+
+def guide_html(guide: Guide) -> str:
+    """Return which side of the base pointed up: both halves of the sphere in an equal-area projection.
+
+    A ring is an orientation along an axis: dashed while it is missing, thick where it is the next.
+    """
+
+    def circle(up: Array, radius: float, style: str) -> str:
+        """Return a circle in each half that the direction is in, or on the rim of."""
+        size = math.sqrt(1.0 - abs(up[2])) / (math.hypot(up[0], up[1]) or 1.0)
+        x, y = 64.0 * size * up[0], -64.0 * size * up[1]
+        halves = [c for c, side in ((104, up[2]), (304, -up[2])) if side > -0.1]
+        return "".join(f'<circle cx="{c + x:.0f}" cy="{104 + y:.0f}" r="{radius}" {style}/>' for c in halves)
+
+    drawn = []
+    for up in (*np.eye(3), *-np.eye(3)):
+        done = (guide.measured @ up).max(initial=-1.0) > 0.87  # within 30°
+        following = guide.following is not None and np.array_equal(up, guide.following)
+        colour = "var(--pd-guide-done)" if done else "var(--pd-guide-now)" if following else "currentColor"
+        style = f'fill="none" stroke="{colour}" stroke-width="{4 if following else 1.5}"'
+        drawn.append(circle(up, 13, style + ("" if done or following else ' stroke-dasharray="3 3"')))
+    drawn += [circle(up, 6, 'fill="none" stroke="var(--pd-bad)" stroke-width="2"') for up in guide.refused]
+    drawn += [circle(up, 6, 'fill="var(--pd-guide-done)"') for up in guide.measured]
+    drawn += (
+        [] if guide.now is None else [circle(guide.now, 8, 'fill="none" stroke="var(--pd-guide-now)" stroke-width="3"')]
+    )
+    halves = "".join(
+        f'<circle cx="{c}" cy="104" r="64" fill="none" stroke="currentColor" opacity="0.4"/>'
+        f'<text x="{c}" y="218" text-anchor="middle">tip {tip}</text>'
+        + "".join(f'<text x="{c + x}" y="{y}" text-anchor="middle">{text}</text>'
+                  for x, y, text in ((90, 109, "x"), (-92, 109, "−x"), (0, 22, "y"), (0, 196, "−y")))
+        for c, tip in ((104, "up"), (304, "down"))
+    )  # fmt: skip
+    return (
+        '<svg viewBox="0 0 408 220" style="width:100%;max-width:420px" role="img" aria-label="orientations measured">'
+        f'<g font-size="15" fill="currentColor">{halves}</g>{"".join(drawn)}</svg>'
+        '<div class="pd-small">Side of the base that points up: <b style="color:var(--pd-guide-done)">●</b> measured, '
+        '<b style="color:var(--pd-guide-now)">○</b> now and next, <b style="color:var(--pd-bad)">○</b> not used</div>'
+    )
 
 
 #: Colours of x, y and z, of a quantity with its 95 % interval, of limits, and of touches and marks.
@@ -183,35 +226,39 @@ class StripChart:
 class Panel:
     """Status text, charts and buttons."""
 
-    def __init__(
-        self, server: viser.ViserServer, send_command: Callable[[str, str], None], scenes: Sequence[SceneSetup]
-    ) -> None:
-        self.paused, gui = False, server.gui
+    def __init__(self, server: viser.ViserServer, send_command: Callable[[str, str], None], setup: PageSetup) -> None:
+        self.paused, gui, scenes, runs = False, server.gui, setup.scenes, not setup.guided
         gui.main_panel.dock_right()
         gui.main_panel.set_width(STATUS_WIDTH)
-        self._texts = [gui.add_html("") for _ in scenes]
-        self._pause = gui.add_button("Pause", icon=viser.Icon.PLAYER_PAUSE)
+        self._texts, self._charts = [gui.add_html("") for _ in scenes], list[list[StripChart]]()
+        self._finish = gui.add_button("Finish: fit and write the result", icon=viser.Icon.CHECK, visible=setup.guided)
+        self._finish.on_click(lambda _: send_command("stop", ""))
+        self._pause = gui.add_button("Pause", icon=viser.Icon.PLAYER_PAUSE, visible=runs)
         self._pause.on_click(lambda _: self._toggle())
-        tare = gui.add_button("Tare: the probe is free", icon=viser.Icon.SCALE)
+        tare = gui.add_button("Tare: the probe is free", icon=viser.Icon.SCALE, visible=runs)
         tare.on_click(lambda _: send_command("tare", ""))
-        text = gui.add_text("Note", "")
-        mark = gui.add_button("Mark this time", icon=viser.Icon.FLAG)
+        text = gui.add_text("Note", "", visible=runs)
+        mark = gui.add_button("Mark this time", icon=viser.Icon.FLAG, visible=runs)
         mark.on_click(lambda _: send_command("mark", text.value))
-        self._start = gui.add_button("Start recording", icon=viser.Icon.PLAYER_RECORD, color=(192, 36, 36))
+        self._start = gui.add_button("Start recording", icon=viser.Icon.PLAYER_RECORD, color=(192, 36, 36),
+                                     visible=runs)  # fmt: skip
         self._start.on_click(lambda _: send_command("start recording", ""))
-        self._stop = gui.add_button("Stop recording", icon=viser.Icon.PLAYER_STOP, color="gray", disabled=True)
+        self._stop = gui.add_button("Stop recording", icon=viser.Icon.PLAYER_STOP, color="gray", disabled=True,
+                                    visible=runs)  # fmt: skip
         self._stop.on_click(lambda _: send_command("stop recording", ""))
-        self.cloud = gui.add_checkbox(f"Last {CLOUD} estimates", False)
+        self.cloud = gui.add_checkbox(f"Last {CLOUD} estimates", False, visible=runs)
         with gui.add_folder("Events"):
             self._texts.append(gui.add_html(""))
-        for setup in scenes:
-            if setup.note:
-                gui.add_markdown(setup.note)
-        strips, self._charts = gui.add_panel(), list[list[StripChart]]()
-        for setup in scenes:
-            title = f"Last {CHART_SECONDS:g} s" if len(scenes) == 1 else setup.title.partition(" ")[0]
+        for scene in scenes:
+            if scene.note:
+                gui.add_markdown(scene.note)
+        if setup.guided:
+            return
+        strips = gui.add_panel()
+        for scene in scenes:
+            title = f"Last {CHART_SECONDS:g} s" if len(scenes) == 1 else scene.title.partition(" ")[0]
             with strips.add_tab(title):
-                force, moment, contact = setup.limits
+                force, moment, contact = scene.limits
                 self._charts.append([
                     StripChart(gui, "s of the contact, 95 % [mm]", ("s", "low", "high"), MM, dots=True),
                     StripChart(gui, "force of the contact [mN]", ("force",), MILLINEWTON, (contact,), dots=True),
@@ -227,8 +274,11 @@ class Panel:
         self.paused = not self.paused
         self._pause.label = f"Continue: paused at {time.strftime('%H:%M:%S')}" if self.paused else "Pause"
 
-    def show(self, recording: bool, *texts: str) -> None:
+    def show(self, snapshot: Snapshot, *texts: str) -> None:
         """Update status and events, and enable the button that applies, where they have changed."""
+        recording, guide = bool(snapshot.recording), snapshot.guide
+        if guide is not None and self._finish.disabled == (can := guide.enough and not snapshot.result):
+            self._finish.disabled = not can
         if recording != self._start.disabled:
             self._start.disabled, self._stop.disabled = recording, not recording
         for shown, text in zip(self._texts, texts, strict=True):
@@ -237,6 +287,8 @@ class Panel:
 
     def draw(self, number: int, charts: StripCharts, age: float) -> None:
         """Draw the charts of a probe, whose last row has an age [s]."""
+        if not self._charts:
+            return
         columns = charts.columns()
         half = 1.96 * columns["std_s"]
         columns |= {"low": columns["s"] - half, "high": columns["s"] + half}
@@ -246,6 +298,8 @@ class Panel:
 
 FIELD_OF_VIEW = math.radians(40.0)
 DISTANCE = 2.8  #: Distance of the camera, in lengths of the probe: all of it is between the panels.
+GUIDED_DISTANCE = 4.0  #: The same where the probe turns to anywhere.
+AXES = 0.04  #: Length of the axes of the base [m].
 ASIDE = 0.1  #: Distance between probes whose poses are unknown [m].
 AGEING = 0.5  #: Interval in which the charts of old data are drawn again [s].
 
@@ -253,13 +307,22 @@ AGEING = 0.5  #: Interval in which the charts of old data are drawn again [s].
 class ProbeScene:
     """What is drawn of one probe; all of it is of one estimate."""
 
-    def __init__(self, scene: viser.SceneApi, stage: Stage, setup: SceneSetup, number: int, aside: Array) -> None:
-        """Create all objects, invisible if their content is unknown; `aside` is where a base of unknown pose is [m]."""
+    def __init__(
+        self, scene: viser.SceneApi, stage: Stage, setup: SceneSetup, number: int, aside: Array, guided: bool
+    ) -> None:
+        """Create all objects, invisible if their content is unknown; `aside` is where a base of unknown pose is [m].
+
+        The axes of the base are shown if a calibration is `guided`.
+        """
         self._setup, self._aside, self._T, root = setup, aside, np.eye(4), f"/{number}"
         self._stage, self._number = stage, number
         self._tube = replace(setup.tube, rings=16, sides=12)  # of the shadow
         self._hull = np.concatenate([part.vertices for part in setup.parts])
-        self._base = scene.add_frame(f"{root}/base", show_axes=False)
+        self._base = scene.add_frame(f"{root}/base", show_axes=guided, axes_length=UNIT * AXES, axes_radius=UNIT * 7e-4)
+        self._axes = [
+            scene.add_label(f"{root}/base/axis/{name}", name, position=UNIT * 1.1 * AXES * axis, visible=guided)
+            for name, axis in zip("xyz", np.eye(3), strict=True)
+        ]
         self._base.wxyz, self._base.position = quaternion(level_rotation(setup.gravity_base)), UNIT * aside
         for part in setup.parts:
             colour, name = PART_COLOURS.get(part.name, METAL), f"{root}/base/{part.name}"
@@ -293,6 +356,10 @@ class ProbeScene:
         for (mark, label), (number, p, in_world) in zip(self._marks, snapshot.touches, strict=False):
             mark.visible = label.visible = True
             mark.position, label.text = UNIT * (p if in_world else self._T[:3, :3] @ p + self._T[:3, 3]), f"{number}"
+        if (guide := snapshot.guide) is not None:
+            for name, axis, label in zip("xyz", np.eye(3), self._axes, strict=True):
+                way = 0.0 if guide.following is None else axis @ guide.following
+                label.text = f"{name}: turn it {'up' if way > 0.0 else 'down'}" if way else name
         self._cloud.visible = cloud and len(snapshot.cloud) > 0
         if self._cloud.visible:
             R, origin = (np.eye(3), np.zeros(3)) if snapshot.has_pose else (self._T[:3, :3], self._T[:3, 3])
@@ -356,9 +423,9 @@ class ViewerPage:
         )
         self._stage = Stage(server.scene)
         aside = self._set_camera()
-        self._scenes = [ProbeScene(server.scene, self._stage, each, i, i * aside)
+        self._scenes = [ProbeScene(server.scene, self._stage, each, i, i * aside, setup.guided)
                         for i, each in enumerate(setup.scenes)]  # fmt: skip
-        self._panel = Panel(server, send_command, setup.scenes)
+        self._panel = Panel(server, send_command, setup)
 
     @property
     def url(self) -> str:
@@ -376,7 +443,7 @@ class ViewerPage:
         with self._server.atomic():
             titles = [scene.title if several else "" for scene in self._setup.scenes]
             status = [status_html(s, beat, title) for s, title in zip(snapshots, titles, strict=True)]
-            self._panel.show(bool(snapshots[0].recording), *status, events_html(snapshots[0]))
+            self._panel.show(snapshots[0], *status, events_html(snapshots[0]))
             for i, snapshot in enumerate(snapshots):
                 redraw = self._charts[i].add(snapshot.strip)
                 if self._panel.paused:
@@ -399,6 +466,8 @@ class ViewerPage:
         T = level_rotation(setup.gravity_base)
         p = free.p_base @ T.T
         body = np.concatenate([p, *(part.vertices @ T.T for part in setup.parts)])
+        if self._setup.guided:  # it turns about its base to anywhere
+            body = length * np.array([[-0.7, -0.5, -1.0], [0.7, 0.5, 1.0]])
         low = body.min(axis=0) - (0.0, 0.02, 0.02)
         front = np.array([0.5 * (low[0] + body[:, 0].max()), low[1], 0.0])
         self._stage.put(low[2], front, low + np.array([0.0, 0.0, 0.025]), bool(np.any(setup.gravity_base)))
@@ -411,8 +480,11 @@ class ViewerPage:
         middle += 0.5 * (n - 1) * UNIT * aside
         camera = self._server.initial_camera
         camera.fov = FIELD_OF_VIEW
+        distance = DISTANCE + 0.5 * (n - 1)
+        if self._setup.guided:
+            middle, distance = np.zeros(3), GUIDED_DISTANCE
         camera.look_at = middle
-        camera.position = middle + UNIT * length * (DISTANCE + 0.5 * (n - 1)) * direction / np.linalg.norm(direction)
+        camera.position = middle + UNIT * length * distance * direction / np.linalg.norm(direction)
         return aside
 
 

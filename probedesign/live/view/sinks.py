@@ -56,11 +56,12 @@ class BrowserView(RunView):
         *,
         open_browser: bool = False,
         limits: tuple[float, float] = (math.inf, math.inf),
+        guided: bool = False,
     ) -> None:
         """Open the page at `port` of `host`, or at the first free port after it.
 
         `probes` are the estimators with the folders of exported parts, `limits` the force and the moment at which a
-        guard stops [N, N·m].
+        guard stops [N, N·m]; `guided` is as that of `PageSetup`.
 
         Raises:
             InputError: the address cannot be used.
@@ -89,7 +90,7 @@ class BrowserView(RunView):
         token = "" if host in LOOPBACK else secrets.token_urlsafe(TOKEN_BYTES)
         with suppress(BrokenPipeError):  # the next line reports the reason
             scenes = tuple(scene_setup(estimator, folder, log, limits) for estimator, folder in probes)
-            self._send(process.stdin, PageSetup(host, port, scenes, token))
+            self._send(process.stdin, PageSetup(host, port, scenes, token, guided))
         message = _parse_message(process.stdout.readline())
         if "url" not in message:
             process.kill()

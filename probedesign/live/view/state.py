@@ -8,6 +8,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import starmap
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -15,6 +16,7 @@ import numpy as np
 from probedesign.core.frames import Array
 from probedesign.core.units import MILLINEWTON, MM, N_MM
 from probedesign.estimation.estimate import RESULTS, Estimate
+from probedesign.estimation.model import ProbeModel
 from probedesign.geometry.tube import BentShape, TubeMesh
 from probedesign.live.blocks import Block
 from probedesign.live.outputs.sinks import Sink
@@ -26,6 +28,7 @@ from probedesign.live.processing.estimates import (
     contact_marker,
     interval_text,
 )
+from probedesign.live.processing.payload import AVERAGING, MEASURED, MIN_ORIENTATIONS, Guide, RestCollector
 from probedesign.live.processing.touches import Contact
 from probedesign.web.scene import RigidPart
 
@@ -92,6 +95,7 @@ class Snapshot:
     events: tuple[Event, ...] = ()  #: last events, oldest first.
     #: touched points of the last single readings, of the world where the pose is known, else of the base [m], (k, 3).
     cloud: Array = field(default_factory=lambda: np.empty((0, 3)))
+    guide: Guide | None = None  #: of a calibration.
 
     @property
     def has_pose(self) -> bool:
@@ -303,6 +307,40 @@ class ViewState(Sink):
         return StatusLine("result", f"{result}: {RESULTS[result]}", LEVELS.get(result, "bad"))
 
 
+class GuideState(ViewState):
+    """State of a calibration: its guide, and at the end its result."""
+
+    def __init__(
+        self, collector: RestCollector, model: ProbeModel, gravity_world: Array,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:  # fmt: skip
+        super().__init__(clock=clock)
+        self._collector, self._model, self._gravity = collector, model, gravity_world
+        self._result: tuple[StatusLine, ...] = ()
+
+    def show_result(self, verdict: str, good: bool, rows: Mapping[str, str]) -> None:
+        """Show the verdict and the results by name from now on."""
+        self._result = (StatusLine("result", verdict, "good" if good else "bad"), *starmap(StatusLine, rows.items()))
+
+    def snapshot(self, shaped: bool = True) -> Snapshot:
+        """Return the current snapshot; the base stays where it is and turns."""
+        guide, T, stale = self._collector.guide, np.eye(4), self._readings.stale and not self._result
+        T[:3, :3] = self._collector.R
+        free = self._model.rod.solve(T[:3, :3].T @ self._gravity) if shaped else None
+        level: Level = "good" if guide.state == MEASURED else "fair" if guide.state == AVERAGING else "plain"
+        state = f"{guide.state}: {guide.progress:.0%}" if guide.state == AVERAGING else guide.state
+        lines = (
+            StatusLine("state", f"no reading for {self._readings.silent_for:.0f} s" if stale else state,
+                       "bad" if stale else level),
+            StatusLine("guide", guide.text, "good" if guide.enough else "plain"),
+            StatusLine("measured", f"{len(guide.measured)} orientations, of at least {MIN_ORIENTATIONS}"),
+            StatusLine("rate", f"{self._readings.rate:.0f} readings/s".replace("nan", "–")),
+        )  # fmt: skip
+        shape = None if free is None or not free.ok else BentShape(free.s, free.p_base, free.R_base)
+        return Snapshot(status=self._result or lines, events=tuple(self._events.copy()), guide=guide, stale=stale,
+                        shape=shape, T_world_base=T, result="ended" if self._result else "")  # fmt: skip
+
+
 CHART_SECONDS = 30.0
 CHART_POINTS = 450  #: Points of a chart: 15 per second.
 REDRAW_PERIOD = 0.1  #: Minimum interval between redraws [s]: all points are sent each time.
@@ -374,6 +412,7 @@ class PageSetup:
     port: int
     scenes: tuple[SceneSetup, ...]  #: that of each probe.
     token: str = ""  #: secret that a browser must know; empty on an address of this machine only.
+    guided: bool = False  #: whether a calibration is guided, instead of a run shown.
 
     @property
     def title(self) -> str:
