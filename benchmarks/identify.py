@@ -248,7 +248,7 @@ def _gross(name: str, i: int, seed: int) -> tuple[float, float, float, float]:
         named = float(bool(error.cause) and error.cause in str(refusal))
         return 1.0, named, named, time.perf_counter() - begun
     causes = [one.name for one in found.likely_causes]
-    if found.result == "ok" and any("may be exchanged" in note for note in found.notes):
+    if found.result == "ok" and any("exchange: " in note for note in found.notes):
         causes = ["exchange"]  # of two tests that are down-weighted as outliers
     return (float(found.result == "inconsistent"), float(causes[:1] == [error.cause]),
             float(error.cause in causes[:3]), found.seconds)  # fmt: skip

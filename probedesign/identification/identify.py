@@ -22,15 +22,14 @@ from probedesign.estimation.model import WALK_SECONDS, ProbeModel, Tolerances
 from probedesign.identification import result
 from probedesign.identification.fit_checks import (
     LABELS,
+    OF_PRINT,
     UnobservableDirection,
     bad_tests,
     contradictions,
-    exchange_hint,
     explaining_mistakes,
     inconsistency,
     likely_causes,
     outlier_notes,
-    print_defects,
     reconciled,
     unobservable_direction,
     widened,
@@ -259,7 +258,7 @@ def identify(data: IdentificationData, names: Sequence[str] = DEFAULT, accept: b
     _check_counts(data, names)
     fitted, identified, unobservable = _search(data, names, start)
     outlying = outliers(fitted.point.blocks, fitted.scales)
-    at_first = fitted, outlying
+    at_first = fitted
     left_out = bad_tests(fitted.point.blocks, outlying)
     if left_out and len(left_out) <= max(1, int(MAX_LEFT_OUT * len(data.tests))):
         counts = {name: sum(block.test == name for block, _ in outlying) for name in left_out}
@@ -272,14 +271,13 @@ def identify(data: IdentificationData, names: Sequence[str] = DEFAULT, accept: b
     causes = likely_causes(fitted) if why or fitted.result != "ok" else ()
     why, warnings = why or ("the search did not converge" if causes else ""), tuple[str, ...]()
     explained = bool(causes) and causes[0].explains
-    mistaken = any(
-        cause.explains and cause.name not in ("probe", "planes", "bow") for cause in causes
-    )  # corrected in one place of the files
+    mistaken = any(cause.explains and cause.name not in OF_PRINT for cause in causes)
     if why and not mistaken and (agreeing := reconciled(fitted, identified)) is not None:
         (fitted, warnings), why = agreeing, ""
     if not causes and any(noise.kind == "stiffness" and noise.measured for noise in fitted.noise):
-        causes = tuple(print_defects(fitted.point))
+        causes = likely_causes(fitted, ("planes",))
         warnings += tuple(f"warning: likely cause of stiffnesses that scatter: {cause}" for cause in causes)
+    exchanges = () if why or not outlying else likely_causes(at_first, ("exchange",))
     outlying = outliers(fitted.point.blocks, fitted.scales)
     problem, blocks = fitted.point.problem, fitted.point.blocks
     quantile = result.student_quantile(fitted)
@@ -296,7 +294,7 @@ def identify(data: IdentificationData, names: Sequence[str] = DEFAULT, accept: b
         fitted.noise, quantile,
         tuple(Outlier(*block.key, distance, len(block.r)) for block, distance in outlying),
         result.error_budget(used, identified),
-        (*warnings, *data.notes, *(() if why else exchange_hint(*at_first)),
+        (*warnings, *data.notes, *(f"possible {cause}" for cause in exchanges),
          *(other.description for other in unobservable),
          *outlier_notes(blocks, outlying),
          *_remarks(fitted)),

@@ -498,10 +498,14 @@ def start_point(problem: LeastSquaresProblem, free_E: bool) -> Linearization | N
 
     The factors are compared by tests that are spread over the campaign.
     """
-    some = replace(problem, tests=spread(problem.tests, MAX_COMPARED))
-    losses = {factor: point.loss({}) for factor, point in start_points(some)} if free_E else {1.0: 0.0}
-    for factor in sorted(losses, key=lambda factor: losses[factor]):
-        point = _at_factor(problem, factor)
+    some, losses = replace(problem, tests=spread(problem.tests, MAX_COMPARED)), dict[float, float]()
+    for factor in sorted(START_FACTORS, reverse=True) if free_E else ():
+        point = start_at(some, factor)
+        if not point.ok:  # a softer probe does not bear this either, and it takes long to find that out
+            break
+        losses[factor] = point.loss({})
+    for factor in sorted(losses, key=lambda factor: losses[factor]) if free_E else (1.0,):
+        point = start_at(problem, factor)
         if point.ok:
             return point
     return None
@@ -513,20 +517,8 @@ def spread(tests: Sequence[MeasuredTest], count: int) -> tuple[MeasuredTest, ...
     return tuple(tests[i] for i in np.unique(np.linspace(0, n - 1, min(n, count)).round().astype(int)))
 
 
-def start_points(
-    problem: LeastSquaresProblem, count: int = len(START_FACTORS)
-) -> Iterator[tuple[float, Linearization]]:
-    """Yield the first `count` factors on E for which the rod has an equilibrium in every test, with the linearization,
-    from the stiffest on. A softer probe does not bear what a stiffer one does not, and it takes long to find that
-    out."""
-    for factor in sorted(START_FACTORS[:count], reverse=True):
-        point = _at_factor(problem, factor)
-        if not point.ok:
-            return
-        yield factor, point
-
-
-def _at_factor(problem: LeastSquaresProblem, factor: float) -> Linearization:
+def start_at(problem: LeastSquaresProblem, factor: float) -> Linearization:
+    """Return the linearization at a factor on the design's E, each touch by its own reading."""
     x = np.zeros(problem.common.size)
     x[LOG_E] = np.log(factor)
     if problem.with_poisson:

@@ -64,45 +64,40 @@ def mistaken(
 
 
 def test_a_mistake_in_the_columns_is_named_first(mistaken: tuple[str, Identification]) -> None:
-    name, found = mistaken
+    name, result = mistaken
     *_, cause, words = MISTAKES[name]
-    first = found.likely_causes[0]
-    assert found.result == "accepted" and first.name == cause and first.explains
-    assert all(word in first.words for word in words) and first.words in found.why
-    assert "farthest from the fit: " in " ".join(found.notes)
+    first = result.likely_causes[0]
+    assert result.result == "accepted" and first.name == cause and first.explains
+    assert all(word in first.words for word in words) and first.words in result.why
+    assert "farthest from the fit: " in " ".join(result.notes)
 
 
 def test_an_accepted_contradiction_has_a_bounded_interval(mistaken: tuple[str, Identification]) -> None:
     """It contains the truth, is at most as wide as the limit of use, adds up, and can be written."""
-    _, found = mistaken
-    E = found.of("E")
+    _, result = mistaken
+    E = result.of("E")
     assert E is not None and E.low is not None and E.high is not None and E.std is not None
     assert 1e6 * E.low < TRUE_E < 1e6 * E.high and E.relative_std < 0.3
-    shares = [one.percent for one in found.shifts if one.of == "E"]
+    shares = [test.percent for test in result.shifts if test.of == "E"]
     # what is below 1 % of the variance is not listed: of a dozen sources
     assert np.hypot.reduce(shares) == pytest.approx(100.0 * E.relative_std, rel=0.06)
-    changes = {change.key: change.text for change in design_changes(found, load_design(LARGE), "2026-01-31")}
+    changes = {change.key: change.text for change in design_changes(result, load_design(LARGE), "2026-01-31")}
     assert 0.0 < float(changes["stiffness_spread"]) <= 1.0 and 0.0 < float(changes["root_radii"]) <= 1.0
 
 
 @pytest.mark.parametrize(
-    ("campaign", "pair"),
-    [
-        ("small_folder", ("touch-05", "touch-07")),
-        ("small_folder", ("touch-03", "touch-05")),
-        ("stage_folder", ("touch-03", "touch-08")),
-    ],
+    ("campaign", "pair"), [("small_folder", ("touch-05", "touch-07")), ("stage_folder", ("touch-03", "touch-08"))]
 )
 def test_exchanged_touches_are_named(
     campaign: str, pair: tuple[str, str], model: ProbeModel, tmp_path: Path, request: pytest.FixtureRequest
 ) -> None:
     """Two of five touches may contradict the others, then it is the first cause; or they are outliers with a note."""
     folder = _edited(request.getfixturevalue(campaign), tmp_path / "data", _exchanged(*pair))
-    found = identify(data_of(read_campaign(folder), model, 0.0), ("E",))
-    assert found.result in ("ok", "inconsistent")
-    named = [found.likely_causes[0].words] if found.likely_causes else found.notes
+    result = identify(data_of(read_campaign(folder), model, 0.0), ("E",))
+    assert result.result in ("ok", "inconsistent")
+    named = [result.likely_causes[0].words] if result.likely_causes else result.notes
     assert any("exchange" in words and pair[0] in words and pair[1] in words for words in named)
-    E = found.of("E")
+    E = result.of("E")
     if campaign == "stage_folder":
         assert E is not None and E.low is not None and E.high is not None
         assert 1e6 * E.low < TRUE_E < 1e6 * E.high
@@ -111,18 +106,18 @@ def test_exchanged_touches_are_named(
 def _unit(data: IdentificationData) -> IdentificationData:
     """Moments in N·mm about the base; the campaign's own checks refuse them in a file before the fit."""
     factors = np.repeat([1.0, 1e3], 3)
-    tests = (one if one.wrench_base is None else replace(one, wrench_base=factors * one.wrench_base)
-             for one in data.tests)  # fmt: skip
+    tests = (test if test.wrench_base is None else replace(test, wrench_base=factors * test.wrench_base)
+             for test in data.tests)  # fmt: skip
     return replace(data, common=replace(data.common, frame="base"), tests=tuple(tests))
 
 
 def _marker(data: IdentificationData) -> IdentificationData:
     """Marker 1 was not seen, and the numbers of the others begin with it."""
     tests = tuple(
-        replace(one, marker_s=one.marker_s[:-1], marker_numbers=one.marker_numbers[:-1],
-                p_markers_world=one.p_markers_world[1:], cov_markers=one.cov_markers[1:])
-        if len(one.marker_s) > 1 else one
-        for one in data.tests
+        replace(test, marker_s=test.marker_s[:-1], marker_numbers=test.marker_numbers[:-1],
+                p_markers_world=test.p_markers_world[1:], cov_markers=test.cov_markers[1:])
+        if len(test.marker_s) > 1 else test
+        for test in data.tests
     )  # fmt: skip
     return replace(data, tests=tests)
 
@@ -147,9 +142,9 @@ def test_each_check_names_its_mistake_first(
     bench: str, mistake: Callable[[IdentificationData], IdentificationData], words: str, explains: bool,
     model: ProbeModel, request: pytest.FixtureRequest,
 ) -> None:  # fmt: skip
-    found = identify(mistake(data_of(request.getfixturevalue(bench), model, 0.0)), ("E",))
-    first = found.likely_causes[0]
-    assert found.result == "inconsistent" and first.name == mistake.__name__[1:] and words in first.words
+    result = identify(mistake(data_of(request.getfixturevalue(bench), model, 0.0)), ("E",))
+    first = result.likely_causes[0]
+    assert result.result == "inconsistent" and first.name == mistake.__name__[1:] and words in first.words
     assert first.explains or not explains
 
 
@@ -162,21 +157,21 @@ def test_planes_of_bending_that_differ_are_named(stage: Campaign, model: ProbeMo
     assert along_y
     data = data_of(stage, model, 0.0)
     tests = tuple(stiffer[test.name] if test.name in along_y else test for test in data.tests)
-    found = identify(replace(data, tests=tests), ("E",))
-    words = next(cause.words for cause in found.likely_causes if cause.name == "planes")
+    result = identify(replace(data, tests=tests), ("E",))
+    words = next(cause.words for cause in result.likely_causes if cause.name == "planes")
     ratio = float(words.split(" is ")[1].split()[0])
     assert abs(np.log(1.3 * ratio)) < 4.0 * 0.02  # four standard deviations of a mean of a few tests
-    assert "planes of bending differ" in " ".join([found.why, *map(str, found.likely_causes), *found.notes])
+    assert "planes of bending differ" in " ".join([result.why, *map(str, result.likely_causes), *result.notes])
 
 
 def test_exchanged_touches_before_cameras_are_named(cameras: Campaign, model: ProbeModel) -> None:
     data = data_of(cameras, model, 0.0)
-    a, b = [one for one in data.tests if one.touched][1:5:3]
+    a, b = [test for test in data.tests if test.touched][1:5:3]
     other = {a.name: b, b.name: a}
-    found = identify(replace(data, tests=tuple(
-        replace(one, wrench_base=other.get(one.name, one).wrench_base, cov_wrench=other.get(one.name, one).cov_wrench)
-        for one in data.tests)), ("E",))  # fmt: skip
-    named = [found.likely_causes[0].words] if found.likely_causes else found.notes
+    result = identify(replace(data, tests=tuple(
+        replace(test, wrench_base=source.wrench_base, cov_wrench=source.cov_wrench)
+        for test in data.tests for source in [other.get(test.name, test)])), ("E",))  # fmt: skip
+    named = [result.likely_causes[0].words] if result.likely_causes else result.notes
     assert any("exchange" in words and a.name in words and b.name in words for words in named)
 
 
@@ -192,9 +187,9 @@ def test_a_contradiction_that_leaves_too_much_uncertainty_gives_no_number(
     monkeypatch.setattr(module, "likely_causes", lambda *_: list(accepted.likely_causes))  # of the same files
     monkeypatch.setattr(module, "widened", lambda fit, moves: replace(fit, added_cov=1e4 * fit.cov))
     folder = _edited(stage_folder, tmp_path / "data", change, frame)
-    found = identify(data_of(read_campaign(folder), model, 0.0), ("E",), accept=True)
-    assert found.result == "inconsistent" and found.of("E") is None and "limit 30%" in found.why
-    assert {one.result for one in found.found} == {"withheld"}
+    result = identify(data_of(read_campaign(folder), model, 0.0), ("E",), accept=True)
+    assert result.result == "inconsistent" and result.of("E") is None and "limit 30%" in result.why
+    assert {test.result for test in result.found} == {"withheld"}
 
 
 def test_a_touch_without_its_place_is_noted(stage_folder: Path, model: ProbeModel, tmp_path: Path) -> None:
