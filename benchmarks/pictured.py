@@ -15,8 +15,9 @@ from probedesign.core.frames import Array
 from probedesign.estimation.model import ProbeModel
 from probedesign.simulation.campaign_folder import make_campaign
 from probedesign.simulation.ground_truth import CalibrationKind, CampaignPlan, GroundTruth
-from probedesign.simulation.stereo_rig import SIZE_PX, RenderStyle, StereoRig, render
+from probedesign.simulation.stereo_rig import SIZE_PX, StereoRig
 from probedesign.vision.markers import find_markers, write_png
+from tests.vision.rendering import RenderStyle, dots_of, render, tube_of
 
 DRAWS = 40
 PHOTO_SEED, PHOTO_TEST = 3, 2  #: Seed of the campaign and index of the test in the photographs.
@@ -75,7 +76,7 @@ def _dots(model: ProbeModel, style: RenderStyle) -> tuple[Array, Array]:
     """Return errors (n, 2) and stated standard deviations (n,) of the dots of a bent probe in two photographs [px]."""
     truth = GroundTruth.draw(model, CampaignPlan(seed=PHOTO_SEED), np.random.default_rng(PHOTO_SEED))
     rig, state = StereoRig(truth), truth.tests()[PHOTO_TEST]
-    tube, dots = rig.tube(state), rig.dots(state)
+    tube, dots = tube_of(rig, state), dots_of(rig, state)
     errors, stds = [], []
     with tempfile.TemporaryDirectory() as folder:
         for camera in rig.cameras:

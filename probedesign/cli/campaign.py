@@ -139,7 +139,6 @@ def campaign(
     *,
     seed: int = 0,
     stage: bool = False,
-    images: bool = False,
     calibration: Literal["box", "files"] = "box",
     youngs_modulus_mpa: float | None = None,
     shear_modulus_mpa: float | None = None,
@@ -162,7 +161,6 @@ def campaign(
         out: output folder.
         seed: seed of all drawn values.
         stage: touches at positions known to 0.05 mm, without cameras.
-        images: render photographs as well.
         calibration: of the cameras: a box of control points, or calibration files of OpenCV.
         youngs_modulus_mpa: Young's modulus of the true print [MPa]. Default: drawn around the design's.
         shear_modulus_mpa: shear modulus of the true print [MPa]. Default: drawn around the design's.
@@ -185,10 +183,9 @@ def campaign(
         return None if value is None else value * unit
 
     plan = CampaignPlan("stage" if stage else "cameras", seed, si(youngs_modulus_mpa, MPA), si(shear_modulus_mpa, MPA),
-                si(marker_noise_mm, MM), readings, exact, images, calibration,
+                si(marker_noise_mm, MM), readings, exact, calibration,
                 friction, friction_spread, hold_out, flaws)  # fmt: skip
-    with show_progress() as on_progress:
-        made = make_campaign(pipeline.load_probe(design).model, out, plan, force, on_progress)
+    made = make_campaign(pipeline.load_probe(design).model, out, plan, force)
     if as_json:
         print_json({"folder": made.folder, "files": made.files, "tests": made.tests})
     else:

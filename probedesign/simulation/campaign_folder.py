@@ -2,7 +2,6 @@
 
 import json
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,7 +15,7 @@ from probedesign.core.units import MM
 from probedesign.estimation.error_sources import bow_of
 from probedesign.estimation.model import WALK_SECONDS, ProbeModel
 from probedesign.simulation.ground_truth import STD_BASE, CampaignPlan, GroundTruth, SimulatedTest
-from probedesign.simulation.stereo_rig import CLICK_PX, CONTROL_PX, SIZE_PX, StereoRig, take_photographs
+from probedesign.simulation.stereo_rig import CLICK_PX, CONTROL_PX, SIZE_PX, StereoRig
 from probedesign.vision.camera import Camera
 from probedesign.vision.camera_files import assumed_covariance
 
@@ -46,13 +45,7 @@ class SimulatedCampaign:
     tests: int  #: number of tests.
 
 
-def make_campaign(
-    model: ProbeModel,
-    folder: Path,
-    plan: CampaignPlan,
-    force: bool = False,
-    on_progress: Callable[[str, float | None], None] = lambda step, share: None,
-) -> SimulatedCampaign:
+def make_campaign(model: ProbeModel, folder: Path, plan: CampaignPlan, force: bool = False) -> SimulatedCampaign:
     """Simulate a campaign and write its data folder, atomically.
 
     Args:
@@ -60,7 +53,6 @@ def make_campaign(
         folder: to write.
         plan: of the campaign.
         force: replace an existing simulated campaign.
-        on_progress: called with the step and the fraction done.
 
     Raises:
         InputError: the folder exists, or the probe or the plan cannot be simulated.
@@ -80,8 +72,6 @@ def make_campaign(
     with replaced_folder(folder) as draft:
         for name, text in tables.items():
             (draft / name).write_bytes(text.encode())
-        if plan.images:
-            take_photographs(rig, tests, draft / "images", plan.seed, on_progress)
     names = sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file())
     return SimulatedCampaign(folder, tuple(names), len(tests))
 
@@ -191,8 +181,6 @@ def _markers(rig: StereoRig, tests: list[SimulatedTest], rng: np.random.Generato
         target = rig.truth.T_world_base[:3, 3]
         drawn = np.random.default_rng([plan.seed, 3])
         calibrated = {f"{camera.name}.yaml": calibration_yaml(camera, target, drawn) for camera in rig.cameras}
-    if plan.images:  # the markers are detected in them
-        return calibrated
     return {**calibrated, "pixels.csv": "\n".join(pixels) + "\n"}
 
 

@@ -54,7 +54,6 @@ class CampaignPlan:
     marker_noise: float | None = None  #: of markers by another reference, on each axis [m]; None for two cameras.
     readings: int = 5  #: of the sensor in each test, each the mean of the design's averaging_samples.
     exact: bool = False  #: the true probe is the design's and at the stated pose; only readings and pictures are noisy.
-    images: bool = False  #: render photographs too.
     #: of the cameras: by a box of control points, or files of another program.
     calibration: CalibrationKind = "box"
     #: median friction coefficient μ of touches; 0 is without friction. None: [contact] friction of the design with
@@ -78,12 +77,10 @@ class CampaignPlan:
                 raise InputError(f"--{option} {value / unit:g} must lie in {low / unit:g} ... {high / unit:.6g}")
         if self.seed < 0:
             raise InputError(f"--seed {self.seed} must not be negative")
-        if self.kind == "stage" and (self.images or self.marker_noise is not None):
-            raise InputError("--stage has no markers: leave out --images and --marker-noise-mm")
+        if self.kind == "stage" and self.marker_noise is not None:
+            raise InputError("--stage has no markers: leave out --marker-noise-mm")
         if self.calibration != "box" and (self.kind == "stage" or self.marker_noise is not None):
             raise InputError("--calibration is that of cameras: leave out --stage and --marker-noise-mm")
-        if self.images and self.marker_noise is not None:
-            raise InputError("--marker-noise-mm belongs to another reference than cameras: leave out --images")
 
 
 class PlannedTouch(NamedTuple):

@@ -24,7 +24,7 @@ def model() -> ProbeModel:
 def stage_folder(model: ProbeModel, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Places to 0.05 mm; the print is as designed but for E."""
     folder = tmp_path_factory.mktemp("data") / "stage"
-    plan = CampaignPlan("stage", 5, TRUE_E, None, None, 5, True, False)
+    plan = CampaignPlan("stage", 5, TRUE_E, None, None, 5, True)
     make_campaign(model, folder, plan)
     return folder
 
@@ -38,6 +38,6 @@ def stage(stage_folder: Path) -> Campaign:
 def cameras(model: ProbeModel, tmp_path_factory: pytest.TempPathFactory) -> Campaign:
     """Markers to 1 mm on each axis, weights and touches; the print is as designed but for E."""
     folder = tmp_path_factory.mktemp("data") / "cameras"
-    plan = CampaignPlan("cameras", 6, TRUE_E, None, 1e-3, 5, True, False)
+    plan = CampaignPlan("cameras", 6, TRUE_E, None, 1e-3, 5, True)
     make_campaign(model, folder, plan)
     return read_campaign(folder)

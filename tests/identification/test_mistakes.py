@@ -150,7 +150,7 @@ def test_each_check_names_its_mistake_first(
 
 def test_planes_of_bending_that_differ_are_named(stage: Campaign, model: ProbeModel, tmp_path: Path) -> None:
     """Touches along y are of a print that is 1.3 times as stiff; the stiffness of a test has 2 %."""
-    plan = CampaignPlan("stage", 5, 1.3 * TRUE_E, None, None, 5, True, False)
+    plan = CampaignPlan("stage", 5, 1.3 * TRUE_E, None, None, 5, True)
     make_campaign(model, tmp_path / "stiffer", plan)
     stiffer = {test.name: test for test in data_of(read_campaign(tmp_path / "stiffer"), model, 0.0).tests}
     along_y = {test.name for test in stage.tests if test.direction in ("+y", "-y")}

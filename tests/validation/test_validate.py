@@ -319,8 +319,7 @@ def test_existing_campaigns_are_not_overwritten(call, tmp_path, monkeypatch):
     (["--marker-noise-mm", "-1"], "--marker-noise-mm -1 must lie in"),
     (["--marker-noise-mm", "nan"], "--marker-noise-mm nan must lie in"),
     (["--youngs-modulus-mpa", "0"], "--youngs-modulus-mpa 0 must lie in"),
-    (["--stage", "--images"], "--stage has no markers"),
-    (["--images", "--marker-noise-mm", "1"], "leave out --images"),
+    (["--stage", "--marker-noise-mm", "1"], "--stage has no markers"),
     (["--seed", "-1"], "--seed -1 must not be negative"),
 ])  # fmt: skip
 def test_invalid_options_are_one_line(call, tmp_path, options, message):

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from probedesign.simulation.stereo_rig import PaintedDots, SurfaceTube
 from probedesign.vision.calibrate import calibrate
 from probedesign.vision.camera import Camera
+from tests.vision.rendering import PaintedDots, SurfaceTube
 
 #: The paper's calibration box has 20 points; their places are assumed [m].
 BOX = np.array([(x, y, z) for x in np.linspace(0, 0.2, 5) for y in (-0.06, 0.06) for z in (-0.06, 0.06)])

@@ -9,8 +9,8 @@ from scene import SIZE, camera, probe
 from scipy.ndimage import gaussian_filter
 
 from probedesign.core.errors import InputError
-from probedesign.simulation.stereo_rig import PaintedDots, RenderStyle, render
 from probedesign.vision.markers import find_markers, fit_dot, overlay, patch_of, read_grey, write_png
+from tests.vision.rendering import PaintedDots, RenderStyle, render
 
 cv2 = pytest.importorskip("cv2")
 

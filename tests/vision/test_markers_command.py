@@ -12,8 +12,8 @@ pytest.importorskip("cv2")
 from probedesign.campaigns import photographs
 from probedesign.campaigns.reading import read_campaign
 from probedesign.cli.main import run
-from probedesign.simulation.stereo_rig import render
 from probedesign.vision.markers import find_markers, read_grey, write_png
+from tests.vision.rendering import render
 
 PAIR = [camera(name, focal=2300.0, size=SIZE) for name in ("left", "right")]
 TUBE, DOTS = probe()
