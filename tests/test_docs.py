@@ -61,19 +61,19 @@ TOUCHES = scenes.touch_targets()[::6]
 
 @pytest.fixture(scope="module")
 def run_once(tmp_path_factory):
-    """Return a function that runs a command; an export that another page has made of the same design is copied."""
-    exports: dict[bytes, Path] = {}
+    """Return a function that runs a command; what another page has made of the same design is copied."""
+    folders: dict[tuple[str, bytes], Path] = {}
 
     def run_or_copy(words: list[str]) -> int:
-        if words[0] != "export" or len(words) != 2:
+        if words[0] not in ("export", "predict") or len(words) != 2:
             return run(words)
-        design, made = Path(words[1]).read_bytes(), Path("exports") / Path(words[1]).stem
-        if design in exports:
-            shutil.copytree(exports[design], made, dirs_exist_ok=True)
+        design, made = (words[0], Path(words[1]).read_bytes()), Path("exports") / Path(words[1]).stem
+        if design in folders:
+            shutil.copytree(folders[design], made, dirs_exist_ok=True)
             return 0
         status = run(words)
-        exports[design] = tmp_path_factory.mktemp("export") / made.name
-        shutil.copytree(made, exports[design])
+        folders[design] = tmp_path_factory.mktemp("made") / made.name
+        shutil.copytree(made, folders[design])
         return status
 
     return run_or_copy

@@ -1,6 +1,7 @@
 """The drawn parts, checked by points, slices and overlaps, independently of the drawing code."""
 
 from dataclasses import replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,9 @@ pytest.importorskip("cadquery", reason="the parts are drawn with CadQuery: pip i
 
 import cadquery as cq
 import trimesh
+from OCP.BRepClass3d import BRepClass3d_SolidClassifier
+from OCP.gp import gp_Pnt
+from OCP.TopAbs import TopAbs_State
 
 from probedesign.cad.documents import assembly_steps
 from probedesign.cad.kernel import mass_properties
@@ -18,7 +22,7 @@ from probedesign.cad.mesh import tessellate
 from probedesign.cad.model import FASTENERS, IN_SENSOR_FRAME, CadModel, CadPart, build_cad, build_parts, overlaps
 from probedesign.cad.packages import PackedPart, package_files, packed_parts
 from probedesign.cad.solids import probe_solid, screw_groups
-from probedesign.cad.verify import blocked_tools, verify
+from probedesign.cad.verify import _packages, blocked_tools, checked, mesh_findings, verify
 from probedesign.core.errors import CheckFailedError, InputError
 from probedesign.core.frames import Array, pose, rotation_z
 from probedesign.design import Design, parse_design
@@ -55,7 +59,15 @@ def at(azimuth_deg: float, r: float, z: float) -> Array:
 def filled(shape: Any, p: Array, T_sensor_part: Array = IN_SENSOR_FRAME) -> bool:
     """Whether a part has material at point p of the sensor frame [mm]."""
     local = T_sensor_part[:3, :3].T @ (p - 1e3 * T_sensor_part[:3, 3])
-    return bool(shape.isInside(cq.Vector(*local)))
+    solid = classifier(shape)
+    solid.Perform(gp_Pnt(*local), 1e-6)
+    return bool(solid.State() == TopAbs_State.TopAbs_IN)
+
+
+@lru_cache(maxsize=64)
+def classifier(shape: Any) -> Any:
+    """Return the kernel's classifier of points, which takes longer to prepare than to ask."""
+    return BRepClass3d_SolidClassifier(shape.wrapped)
 
 
 def meshed(model: CadModel) -> Meshes:
@@ -570,14 +582,14 @@ def test_verify_detects_an_error_of_a_micrometre_and_an_open_mesh(large: CadMode
     with pytest.raises(CheckFailedError, match=r"flexible_volume.*section_area") as error:
         verify(replace(large, geometry=other), *large_meshes)
     assert "clamp_ring" not in str(error.value)
-    meshes, *packages = large_meshes
+    meshes, *_ = large_meshes
     ring = meshes["clamp_ring"]
     with pytest.raises(CheckFailedError, match="clamp_ring_mesh_closed"):
-        verify(large, meshes | {"clamp_ring": trimesh.Trimesh(ring.vertices, ring.faces[1:])}, *packages)
+        checked("large", mesh_findings(large, meshes | {"clamp_ring": trimesh.Trimesh(ring.vertices, ring.faces[1:])}))
 
 
 def test_verify_detects_parts_on_top_of_each_other_or_turned_over(large: CadModel, large_meshes: Meshes) -> None:
-    meshes, packed, _ = large_meshes
+    _, packed, _ = large_meshes
     plate, adapter, ring = packed["adapters.3mf"]
     for wrong in (
         [plate, adapter, replace(ring, T_platform_part=adapter.T_platform_part)],
@@ -586,7 +598,7 @@ def test_verify_detects_parts_on_top_of_each_other_or_turned_over(large: CadMode
     ):
         moved = packed | {"adapters.3mf": wrong}
         with pytest.raises(CheckFailedError, match=r"adapters\.3mf_layout"):
-            verify(large, meshes, moved, package_files(large.design, moved))
+            checked("large", _packages(large.design.printer, moved, package_files(large.design, moved)))
 
 
 def test_overlap_is_detected(large: CadModel) -> None:
