@@ -13,7 +13,7 @@ from typing import Any
 import cadquery as cq
 import numpy as np
 
-from probedesign.cad.exchange import file_date, step_bytes
+from probedesign.cad.exchange import step_bytes
 from probedesign.cad.folder import check_target, digests, listed_digests, write_export
 from probedesign.cad.kernel import revolved
 from probedesign.cad.mesh import checked_mesh, stl_bytes
@@ -77,7 +77,7 @@ def export_coupon(design: Design, out: Path | None = None) -> dict[str, Any]:
         assembled.add(solid, name=name, loc=cq.Location(cq.Vector(x, 0.0, 0.0)))
         x += 2.0 * (steps[0] + 2.0 * FOOT_RIM_MM)
     contents["coupon.step"] = step_bytes(
-        assembled, "coupon.step", f"{design.name}: coupons, geometry {fingerprint}, units mm", file_date(design)
+        assembled, "coupon.step", f"{design.name}: coupons, geometry {fingerprint}, units mm", design.date
     )
     manifest = {
         "kind": "coupon",

@@ -3,8 +3,6 @@
 A part that an assembly has several times is one product with instances.
 """
 
-import datetime
-import os
 import re
 import tempfile
 from importlib.metadata import version
@@ -29,14 +27,11 @@ from OCP.XCAFDoc import XCAFDoc_ColorSurf, XCAFDoc_DocumentTool
 from OCP.XSControl import XSControl_WorkSession
 
 from probedesign.cad.kernel import PRODUCT
-from probedesign.core.errors import CheckFailedError, InputError
+from probedesign.core.errors import CheckFailedError
 from probedesign.core.units import MM
-from probedesign.design import Design
 
 STEP_END = b"END-ISO-10303-21;"
 EPOCH = "1970-01-01"  #: Date in the header of a file without one, as ISO 10303-21 requires a time.
-#: Environment variable with the time of the sources in seconds since 1970 (reproducible-builds.org).
-DATE_VARIABLE = "SOURCE_DATE_EPOCH"
 #: A part in its assembly, with a number that the kernel counts through all assemblies of a process.
 _OCCURRENCE = re.compile(r"(NEXT_ASSEMBLY_USAGE_OCCURRENCE\(')\d+('.*?\);)", re.DOTALL)
 _LINE_BREAK = re.compile(r"\s*\n\s*")
@@ -45,32 +40,14 @@ _REFERENCE = re.compile(r"#(\d+)")
 _STYLES = "MECHANICAL_DESIGN_GEOMETRIC_PRESENTATION_REPRESENTATION"
 
 
-def file_date(design: Design) -> str:
-    """Return the date of sheets and STEP files: that of the design, or of SOURCE_DATE_EPOCH; empty without either,
-    because equal designs have equal files.
-
-    Raises:
-        InputError: SOURCE_DATE_EPOCH is not a number of seconds.
-    """
-    if design.date is not None:
-        return design.date
-    value = os.environ.get(DATE_VARIABLE)
-    if value is None:
-        return ""
-    try:
-        return datetime.datetime.fromtimestamp(int(value), datetime.UTC).date().isoformat()
-    except (ValueError, OverflowError, OSError):
-        raise InputError(f"{DATE_VARIABLE} = {value!r} is not a number of seconds since 1970; unset it") from None
-
-
-def step_bytes(assembly: cq.Assembly, file: str, about: str, date: str = "") -> bytes:
+def step_bytes(assembly: cq.Assembly, file: str, about: str, date: str | None) -> bytes:
     """Return the STEP file (AP214) of an assembly, or of a single part.
 
     Args:
         assembly: of parts without further levels; children with the same shape, colour and product are instances.
         file: its name, for the header.
         about: description for the header.
-        date: for the header, such as 2026-01-31; 1970 if empty.
+        date: for the header, such as 2026-01-31; 1970 if None: equal designs have equal files.
 
     Raises:
         CheckFailedError: the kernel does not write the file to its end.

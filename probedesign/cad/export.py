@@ -10,7 +10,7 @@ import cadquery as cq
 import numpy as np
 
 from probedesign.cad.documents import Documents, build_documents
-from probedesign.cad.exchange import file_date, glb_bytes, step_bytes
+from probedesign.cad.exchange import glb_bytes, step_bytes
 from probedesign.cad.folder import check_target, digests, write_export
 from probedesign.cad.mesh import part_stl, printed_mesh, tessellate
 from probedesign.cad.model import CadModel, assembly_of, build_cad
@@ -193,7 +193,7 @@ def export_parts(
 
 def cad_files(model: CadModel, parts: Iterable[str]) -> dict[str, bytes]:
     """Return the assembly as STEP and GLB, and the STEP file of each of these parts in its own frame."""
-    name, date = model.design.name, file_date(model.design)
+    name, date = model.design.name, model.design.date
 
     def step(assembly: cq.Assembly, file: str, what: str, part: str = "probe") -> bytes:
         fingerprint = model.fingerprints[part]

@@ -72,41 +72,17 @@ def manifest_json(manifest: dict[str, Any]) -> str:
 
 @contextmanager
 def staged(folder: Path) -> Iterator[Path]:
-    """Yield a temporary sibling of `folder`; its files move there on success and are deleted otherwise.
-
-    What killed processes left behind is removed first.
-    """
+    """Yield a temporary sibling of `folder`; its files move there on success and are deleted otherwise."""
     staging = folder.parent / f".{folder.name}.{uuid.uuid4().hex[:8]}.partial"
     try:
         staging.mkdir(parents=True)
-        with _claimed(staging):
-            if os.name != "nt":  # folders that no process has locked; those of running exports stay
-                for left in folder.parent.glob(f".{folder.name}.????????.partial"):
-                    with suppress(OSError), _claimed(left):
-                        shutil.rmtree(left, ignore_errors=True)
-            yield staging
-            with defer_sigint():
-                _put_in_place(staging, folder)
+        yield staging
+        with defer_sigint():
+            _put_in_place(staging, folder)
     except OSError as error:
         raise InputError(f"{folder}: cannot be written: {error.strerror or error}") from None
     finally:
         shutil.rmtree(staging, ignore_errors=True)
-
-
-@contextmanager
-def _claimed(staging: Path) -> Iterator[None]:
-    """Lock a folder; the system releases the lock with the process, however it ends."""
-    try:
-        import fcntl
-    except ImportError:  # Windows: no locks, so no folder counts as abandoned
-        yield
-        return
-    handle = os.open(staging, os.O_RDONLY)
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        yield
-    finally:
-        os.close(handle)
 
 
 def _put_in_place(staging: Path, folder: Path) -> None:

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from probedesign.cad.exchange import file_date
 from probedesign.cad.model import CadModel, CadPart
 from probedesign.cad.sheet import (
     ABOVE,
@@ -64,7 +63,7 @@ def inspection_sheets(model: CadModel) -> dict[str, bytes]:
 def _page(model: CadModel, part: CadPart, scale: float) -> Canvas:
     resin = model.design.resin.name if part.name == "probe" else RIGID_RESIN
     grams = 1e3 * part.body.mass
-    frame, date = part.frame.replace("_", " "), file_date(model.design)
+    frame, date = part.frame.replace("_", " "), model.design.date or ""
     names = [printed.name for printed in model.printed]
     number_of = f"number {model.fingerprints[part.name]} · sheet {names.index(part.name) + 1} of {len(names)}"
     return page(f"{model.design.name}: {part.name.replace('_', ' ')}", [

@@ -109,7 +109,7 @@ JsonOutput = Annotated[bool, Parameter(name="--json", help="print one JSON docum
 Method = Literal["ml", "force_moment"]
 Tare = Literal["auto", "none"]
 Origin = Literal["sensor", "base"]
-_SECTOR_STEP = 30.0  #: Largest step between the directions of a sector [deg].
+_ALL_AROUND = tuple(30.0 * k for k in range(12))  #: Directions of the pushes on a curved probe [deg].
 _LIST: dict[str, Any] = {"negative": (), "consume_multiple": True}
 
 
@@ -131,18 +131,13 @@ class TaskOptions:
     bias_walk_steps: float | None = None
     """Random walk of the sensor's bias from touch to touch, in steps of its resolution. Default: walk_steps of the
     design's tolerances."""
-    places: str = "0.4:0.9:0.1"
-    """START:STOP:STEP of the touched places, as fractions of the length."""
     at: Annotated[list[float] | None, Parameter(**_LIST)] = None
-    """Touched places as fractions of the length, instead of --places."""
+    """Touched places as fractions of the length. Default: 0.4, 0.5, ... 0.9."""
     gravity: Annotated[list[str] | None, Parameter(**_LIST)] = None
     """X,Y,Z of gravity in base axes [m/s²], one or several, such as 9.81,0,0. Default: the design's mount."""
     direction: Annotated[list[float] | None, Parameter(**_LIST)] = None
     """Direction in which the object pushes, about the tangent from the section's X axis towards Y [deg], one or
     several. Default: across gravity, or all directions if a probe is curved."""
-    sector: float = 0.0
-    """Half-width of a sector about each direction that counts as well, in steps of at most 30 degrees [deg]; 180 is all
-    around."""
     combine: Literal["mean", "worst"] = "mean"
     """How the errors of the cases are combined: mean (RMS) or worst."""
 
@@ -152,27 +147,14 @@ class TaskOptions:
         Raises:
             InputError: a value is out of range or cannot be read.
         """
-        from probedesign.optimization.objective import Task
-        from probedesign.optimization.sweep import numbers_of
+        from probedesign.optimization.objective import FRACTIONS, Task
 
-        places = self.at if self.at is not None else numbers_of("--places", self.places)
+        directions = self.direction or (_ALL_AROUND if curved else ())
         return Task(
             tuple(self.force_N or (0.005,)), self.touches, self.moments_about, self.base_repeat_mm,
-            self.bias_walk_steps, tuple(map(float, places)), tuple(map(_vector, self.gravity or [])),
-            self._directions(curved), self.combine,
+            self.bias_walk_steps, tuple(self.at or FRACTIONS), tuple(map(_vector, self.gravity or [])),
+            tuple(directions), self.combine,
         )  # fmt: skip
-
-    def _directions(self, curved: bool) -> tuple[float, ...]:
-        if not 0.0 <= self.sector <= 180.0:
-            raise InputError(f"--sector {self.sector:g} must lie in 0 ... 180 degrees")
-        if self.sector and not self.direction:
-            raise InputError(f"--sector {self.sector:g} needs --direction, the middle of the sector [deg]")
-        middles, sector = self.direction or [], self.sector
-        if curved and not middles:
-            middles, sector = [180.0], 180.0
-        steps = math.ceil(sector / _SECTOR_STEP)
-        offsets = [sector * k / steps for k in range(-steps, steps + (sector < 180.0))] if steps else [0.0]
-        return tuple(dict.fromkeys(middle + offset for middle in middles for offset in offsets))
 
 
 def _vector(text: str) -> tuple[float, float, float]:

@@ -21,12 +21,12 @@ from probedesign.optimization.design_space import (
     FreeParameter,
     finite_differences,
 )
-from probedesign.optimization.displacement import CRASH, FORCE, MAX_DISTANCE_MM, MIN_FORCE, split_metric
+from probedesign.optimization.displacement import FORCE, MAX_DISTANCE_MM, MIN_FORCE, split_metric
 from probedesign.optimization.objective import Task
 
 Goal = Literal["error-at-force", "force-for-error"]
 #: Metrics that may be limited. `buckling_margin` is the critical load over the task's force; `print_warnings` can only
-#: be excluded; `force_mN` and `crash_use` have a distance, as in `force_mN@10mm`.
+#: be excluded; `force_mN` has a distance, as in `force_mN@10mm`.
 LIMITED_METRICS = (
     "error_mm",
     "worst_error_mm",
@@ -44,7 +44,6 @@ LIMITED_METRICS = (
     "natural_frequency_Hz",
     "print_warnings",
     FORCE,
-    CRASH,
 )
 NO_WARNINGS = "print_warnings"
 _LIMIT = re.compile(r"\s*([A-Za-z_]+)(@\S+?)?\s*(<=|>=)\s*(\S+)\s*")
@@ -86,8 +85,8 @@ def parse_limit(text: str) -> Limit:
     figure, at, sign, number = match.groups()
     if figure not in LIMITED_METRICS:
         raise unknown_name("--subject-to", figure, LIMITED_METRICS)
-    if at is not None or figure in (FORCE, CRASH):
-        if figure not in (FORCE, CRASH):
+    if at is not None or figure == FORCE:
+        if figure != FORCE:
             raise InputError(f"--subject-to {text!r}: {figure} has no distance; write '{figure}{sign}{number}'")
         distance = split_metric(f"{figure}{at or ''}")[1]
         if not 0.0 < distance <= MAX_DISTANCE_MM:
@@ -103,8 +102,6 @@ def parse_limit(text: str) -> Limit:
     if figure == NO_WARNINGS:
         if sign != "<=" or value != 0.0:
             raise InputError(f"--subject-to {text!r}: a count cannot be limited; write '{NO_WARNINGS}<=0'")
-    elif figure.startswith(CRASH) and sign != "<=":
-        raise InputError(f"--subject-to {text!r}: the load of a crash has an upper limit; write '{figure}<={number}'")
     elif not 0.0 < value < 1e9:
         raise InputError(f"--subject-to {text!r}: {number} must be a positive number")
     return Limit(figure, sign == "<=", value)
@@ -302,13 +299,8 @@ class OptimizationProblem:
         if self.error_mm is not None and not 0.0 < self.error_mm <= 1e3:
             raise InputError(f"--error-mm {self.error_mm:g} must lie in (0, 1000]")
         check_limits([*self.all_limits])
-        length_mm, sensor = self.start.probe.length_mm, self.start.sensor_model
+        length_mm = self.start.probe.length_mm
         for limit in self.limits:
-            if split_metric(limit.metric)[0] == CRASH and sensor.overload is None:
-                raise InputError(
-                    f"--subject-to {limit.text}: the overload of the sensor {sensor.name!r} is not known; "
-                    "write overload_N and overload_Nm into a sensor file of your own"
-                )
             if limit.metric == "length_mm" and "length" not in self.free and limit.margin(length_mm) < 0.0:
                 raise InputError(
                     f"--subject-to {limit.text}: the length stays {length_mm:g} mm; name it too: --over ... length"

@@ -19,7 +19,7 @@ from probedesign.design.schema import AXIS_KEYS, MAX_DIAMETER_MM, MIN_DIAMETER_M
 from probedesign.estimation.model import ProbeModel
 from probedesign.geometry.axis import MIN_RADIUS_RATIO, Axis
 from probedesign.mount import flange_of, max_ring_passage_d
-from probedesign.optimization.displacement import MIN_FORCE, displacement_metric
+from probedesign.optimization.displacement import MIN_FORCE, forces_at_deflection_mN, split_metric
 from probedesign.optimization.objective import Task, detectable_mN, predict_task, tip_offset
 from probedesign.prediction.predict import tip_sag
 from probedesign.printing import check
@@ -307,7 +307,7 @@ SOUGHT = "sought_mm"  #: Metric that a search minimises: the error of the task, 
 INFEASIBLE = {SOUGHT: 1e3, "error_mm": 1e3, "worst_error_mm": 1e3, "sensor_use": 10.0, "slide_mm": 1e3,
             "sag_mm": 1e3, "reach_mm": 1e-3, "critical_load": 0.1, "distinction": 0.01, "buckling_margin": 0.1,
             "natural_frequency_Hz": 1e-3, "detectable_mN": 1e6, "thinnest_mm": 1e-3, "tip_offset_mm": 1e3}  # fmt: skip
-#: Force or load of a crash where a push does not reach its distance; its inverse is the smallest force.
+#: Force where a push does not reach its distance; its inverse is the smallest force.
 _NO_FIGURE = 1e6
 
 
@@ -383,9 +383,9 @@ class DesignEvaluator:
             metrics["natural_frequency_Hz"] = frequency if math.isfinite(frequency) else 1e-3
         if "detectable_mN" in self.limited:
             metrics["detectable_mN"] = detectable_mN(model, task) or INFEASIBLE["detectable_mN"]
-        overload = self.space.start.sensor_model.overload
-        for name, unknown in pushed.items():
-            metrics[name] = displacement_metric(name, model, task, overload) or unknown
+        for name in pushed:
+            if forces := forces_at_deflection_mN(model, task, split_metric(name)[1]):
+                metrics[name] = forces[0 if name.startswith(MIN_FORCE) else 1]
         free = probe.rod.solve(model.gravity_base)
         if free.ok:
             tip = free.p_at(probe.length)

@@ -114,20 +114,6 @@ def limit_chart(prediction: Prediction) -> Chart:
     return chart
 
 
-def sensitivity_chart(prediction: Prediction) -> Chart:
-    """Return base moment and force per millimetre of indentation, at the smallest force along the last direction."""
-    smallest = min(c.force_N for c in prediction.conditions)
-    side = prediction.conditions[-1].direction
-    rows = [c for c in prediction.conditions if (c.force_N, c.direction) == (smallest, side)]
-    moments = [c.moment_per_mm_Nmm or math.nan for c in rows]
-    forces = [1e3 * (c.force_per_mm_N or math.nan) for c in rows]
-    chart = _along("sensitivity [N·mm/mm, mN/mm]", [*moments, *forces])
-    places = [c.contact_fraction for c in rows]
-    chart.line(places, moments, COLOURS[1], "", "o", "base moment [N·mm/mm]")
-    chart.line(places, forces, COLOURS[2], "7 4", "s", "force [mN/mm]")
-    return chart
-
-
 def budget_chart(conditions: Sequence[PredictedTouch]) -> Chart:
     """Return the error budget: the share of each group of sources in the variance, as one bar per condition."""
     y = ChartAxis("share of the variance [%]", 0.0, 106.0, ticks=(0.0, 20.0, 40.0, 60.0, 80.0, 100.0))

@@ -23,7 +23,6 @@ from probedesign.reports.prediction_charts import (
     lateral_axis,
     limit_chart,
     probe_chart,
-    sensitivity_chart,
     surface_map,
 )
 
@@ -37,7 +36,7 @@ _CELLS = (
     "an interval of the arclength alone; buckles: the probe is unstable; range: beyond the sensor's range."
 )
 _ERRORS, _FORCES = "Errors by the sensor alone, and of fused touches by source", "Forces along the probe"
-_BENDING = "Deflection and sensitivity"
+_BENDING = "Deflection"
 
 
 @dataclass(frozen=True)
@@ -118,11 +117,6 @@ def prediction_figures(prediction: Prediction, estimator: Estimator) -> Iterator
     yield PredictionFigure(
         bending_chart(estimator), "Deflection",
         f"{seen.capitalize()}; dots are the touches, along ±{'xy'[lateral]}.", _BENDING,
-    )  # fmt: skip
-    yield PredictionFigure(
-        sensitivity_chart(prediction), "Sensitivity to indentation",
-        f"At the smallest force, along {prediction.conditions[-1].direction}: base moment and force per additional "
-        "millimetre of indentation.", _BENDING,
     )  # fmt: skip
 
 

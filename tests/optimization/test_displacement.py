@@ -1,4 +1,4 @@
-"""Force at a given deflection, and load of the sensor in a crash: against the elastica, and as limits of `optimize`."""
+"""Force at a given deflection: against the elastica, and as a limit of `optimize`."""
 
 import math
 from dataclasses import replace
@@ -12,7 +12,7 @@ from probedesign.design import check_design, load_design
 from probedesign.design.edit import tables_of
 from probedesign.optimization import displacement
 from probedesign.optimization.constraints import OptimizationProblem, parse_limit
-from probedesign.optimization.displacement import crash_use, forces_at_deflection_mN, push
+from probedesign.optimization.displacement import forces_at_deflection_mN, push
 from probedesign.optimization.objective import Task
 from probedesign.optimization.optimum import optimum
 from probedesign.probe import build_probe
@@ -85,33 +85,16 @@ def test_a_distance_beyond_the_rods_reach_has_no_force(elastica, polar):
 @pytest.mark.parametrize("solves", [1, 3])
 def test_an_unfinished_push_gives_no_load(large, monkeypatch, solves):
     """The loads of the way are smaller than that at the distance, so they must not pass for it."""
-    model, overload = build_probe(large).model, large.sensor_model.overload
+    model = build_probe(large).model
     assert push(model.rod, model.gravity_base, (0.0, 1.0, 0.0), 0.05).ok
     monkeypatch.setattr(displacement, "_MAX_SOLVES", solves)
     assert push(model.rod, model.gravity_base, (0.0, 1.0, 0.0), 0.05).result == "not_converged"
     assert forces_at_deflection_mN(model, TASK, 50.0) is None
-    assert crash_use(model, TASK, 50.0, overload) is None
-    limits = (parse_limit("crash_use@50mm<=1000"), parse_limit("force_mN@50mm>=1e-3"))
+    limits = (parse_limit("force_mN@50mm<=1e5"), parse_limit("force_mN@50mm>=1e-3"))
     problem = OptimizationProblem(large, ("cone",), TASK, limits=limits).problem
     x = problem.evaluator.space.x_of(large)
     margins = [c.min_margin(x) for c in problem.constraints if c.text in {limit.text for limit in limits}]
     assert len(margins) == 2 and max(margins) < 0.0
-
-
-def test_a_probe_that_snaps_in_a_crash_rests_on_its_own_side():
-    """The small probe, pushed 10° beside its axis against its sag, snaps before 30 mm; the crash goes on beyond."""
-    design = load_design(LARGE.with_name("small.toml"))
-    model, overload = build_probe(design).model, np.array(design.sensor_model.overload)
-    g, polar = model.gravity_base, math.radians(10.0)
-    along, against = ((sign * math.sin(polar), 0.0, -math.cos(polar)) for sign in (1.0, -1.0))
-    own, snapped = push(model.rod, g, along, 0.03), push(model.rod, g, against, 0.03)
-    assert own.ok and snapped.result == "snaps"
-    after = push(model.rod, g, against, 0.03, near=own.last)
-    free = model.rod.solve(g).p_at(model.rod.length)
-    assert after.ok and np.dot(against, after.last.p_contact_base - free) == pytest.approx(0.03, rel=1e-5)
-    assert after.force > snapped.force
-    loads = [np.abs(model.to_sensor(p.last.wrench_base, g)) / overload for p in (own, snapped, after)]
-    assert crash_use(model, TASK, 30.0, overload) >= max(load.max() for load in loads)
 
 
 def test_a_lower_limit_on_the_force_holds_in_every_direction(large):
@@ -134,7 +117,7 @@ def test_a_lower_limit_on_the_force_holds_in_every_direction(large):
         assert found.min_margin(x) < 0.0
 
 
-def test_a_softer_print_pushes_and_crashes_in_proportion(large):
+def test_a_softer_print_pushes_in_proportion(large):
     """Without gravity all forces are proportional to the stiffness."""
     tables = tables_of(large)
     tables["mount"]["gravity_base_m_s2"] = [0.0, 0.0, 0.0]
@@ -142,34 +125,17 @@ def test_a_softer_print_pushes_and_crashes_in_proportion(large):
     soft = build_probe(check_design(tables)).model
     tables["material"] |= {key: 2.0 * tables["material"][key] for key in ("youngs_modulus_mpa", "shear_modulus_mpa")}
     stiff = build_probe(check_design(tables)).model
-    overload = (250.0, 250.0, 480.0, 1.6, 1.6, 1.8)
-    for figure in (
-        lambda model: forces_at_deflection_mN(model, TASK, 10.0)[1],
-        lambda model: crash_use(model, TASK, 20.0, overload),
-    ):
-        assert figure(stiff) == pytest.approx(2.0 * figure(soft), rel=1e-4)
+    assert forces_at_deflection_mN(stiff, TASK, 10.0)[1] == pytest.approx(
+        2.0 * forces_at_deflection_mN(soft, TASK, 10.0)[1], rel=1e-4
+    )
 
 
-def test_a_crash_loads_the_sensor_more_the_farther_it_goes(large):
-    probe, overload = build_probe(large), np.array(large.sensor_model.overload)
-    model = probe.model
-    rest = model.to_sensor(probe.rod.solve(model.gravity_base).wrench_base, model.gravity_base)
-    uses = [crash_use(model, TASK, distance, overload) for distance in (1e-3, 10.0, 30.0)]
-    assert uses[0] == pytest.approx(np.max(np.abs(rest) / overload), rel=1e-2)  # the weight alone
-    assert uses[0] < uses[1] < uses[2]
-    assert crash_use(model, TASK, 10.0, overload / 2.0) == pytest.approx(2.0 * uses[1])
-
-
-@pytest.mark.parametrize("text", ["force_mN@10mm<=20", pytest.param("crash_use@20mm<=0.002", marks=pytest.mark.slow)])
-def test_a_limit_with_a_distance_is_kept(large, text):
-    limit = parse_limit(text)
+def test_a_limit_with_a_distance_is_kept(large):
+    limit = parse_limit("force_mN@10mm<=20")
     search = OptimizationProblem(large, ("cone",), TASK, limits=(limit,))
 
     def figure(design):
-        model = build_probe(design).model
-        if limit.metric.startswith("force"):
-            return forces_at_deflection_mN(model, TASK, 10.0)[1]
-        return crash_use(model, TASK, 20.0, design.sensor_model.overload)
+        return forces_at_deflection_mN(build_probe(design).model, TASK, 10.0)[1]
 
     assert limit.margin(figure(large)) < 0.0  # or the limit would not matter
     found = optimum(search, "best", lambda _step, _share: None)
@@ -177,18 +143,9 @@ def test_a_limit_with_a_distance_is_kept(large, text):
 
 
 @pytest.mark.parametrize(
-    "text", ["force_mN<=5", "crash_use@<=1", "force_mN@5<=1", "force_mN@0mm<=1", "force_mN@nanmm<=1",
-             "crash_use@2000mm<=1", "crash_use@20mm>=1", "force_mN@5mm<=0", "sag_mm@5mm<=3"]
+    "text", ["force_mN<=5", "force_mN@<=1", "force_mN@5<=1", "force_mN@0mm<=1", "force_mN@nanmm<=1",
+             "force_mN@2000mm<=1", "force_mN@5mm<=0", "sag_mm@5mm<=3"]
 )  # fmt: skip
 def test_a_limit_with_a_wrong_distance_is_refused(text):
     with pytest.raises(InputError):
         parse_limit(text)
-
-
-def test_a_crash_is_not_limited_without_a_known_overload(large):
-    tables = tables_of(large)
-    tables["sensor"] = {"model": "rft40"}
-    without = check_design(tables)
-    assert without.sensor_model.overload is None
-    with pytest.raises(InputError):
-        OptimizationProblem(without, ("cone",), TASK, limits=(parse_limit("crash_use@20mm<=0.5"),))

@@ -235,7 +235,6 @@ def test_a_start_that_buckles_is_improved(rigid):
         (["--force-N", "0.005", "-1"], "must lie in (0, 100]"),
         (["--at", "1.5"], "must lie in (0, 1]"),
         (["--touches", "0"], "touches = 0"),
-        (["--places", "0.5:1.5:0.5"], "must lie in (0, 1]"),
     ],
 )
 def test_invalid_options_are_refused_in_one_line(arguments, message, tmp_path, capsys):
@@ -262,7 +261,7 @@ def test_an_unwritable_output_is_refused_before_the_search(tmp_path, capsys):
 def test_a_start_that_buckles_is_not_drawn(large, tmp_path, capsys):
     limp, out = tmp_path / "limp.toml", tmp_path / "best.toml"
     limp.write_text(render_design(check_design(DesignSpace.of(large, ("cone",)).tables(np.array([4.0, 1.5]), 3))))
-    assert run(["optimize", str(limp), "--places", "0.9:0.9:1", "--confirm", "2", "--out", str(out)]) == 0
+    assert run(["optimize", str(limp), "--at", "0.9", "--confirm", "2", "--out", str(out)]) == 0
     assert "start: not run, because the probe buckles" in capsys.readouterr().out and out.exists()
 
 

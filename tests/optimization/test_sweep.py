@@ -116,7 +116,7 @@ def test_results_of_another_sweep_and_corrupt_lines_are_refused_unchanged(tmp_pa
 def test_a_sweep_resumes(tmp_path, capsys):
     """Two workers, one lost record, one design that cannot be: nothing is computed twice."""
     command = ["sweep", str(LARGE), "--vary", "probe.tip_d_mm=2,13", "--vary", "probe.base_d_mm=7:12:5",
-               "--places", "0.8:0.8:1", "--workers", "1", "--out", str(tmp_path), "--json"]  # fmt: skip
+               "--at", "0.8", "--workers", "1", "--out", str(tmp_path), "--json"]  # fmt: skip
     assert run(command) == 0
     first = json.loads(capsys.readouterr().out)
     path = tmp_path / "sweep.jsonl"

@@ -85,7 +85,7 @@ def prediction(_request) -> bytes:
 def comparison(request) -> bytes:
     page = request.getfixturevalue("folder") / "compared.html"
     files = [str(DESIGNS / f"{name}.toml") for name in ("large", "small")]
-    assert run(["compare", *files, "--out", str(page), "--places", "0.6:0.8:0.2"]) == 0
+    assert run(["compare", *files, "--out", str(page), "--at", "0.6", "0.8"]) == 0
     return page.read_bytes()
 
 

@@ -158,7 +158,7 @@ def test_square_axes_have_one_scale():
 
 
 def test_compare_puts_designs_side_by_side(tmp_path, capsys):
-    out, places = tmp_path / "page.html", ("--places", "0.6:0.8:0.2")
+    out, places = tmp_path / "page.html", ("--at", "0.6", "0.8")
     files = [str(DESIGNS / f"{name}.toml") for name in ("large", "small")]
     assert run(["compare", *files, "--out", str(out), *places, "--json"]) == 0
     designs = json.loads(capsys.readouterr().out)["designs"]
@@ -169,7 +169,7 @@ def test_compare_puts_designs_side_by_side(tmp_path, capsys):
 
 
 def test_compare_replaces_its_page_and_nothing_else(tmp_path, capsys):
-    files, places = ([str(DESIGNS / f"{name}.toml") for name in ("large", "small")], ("--places", "0.6:0.8:0.2"))
+    files, places = ([str(DESIGNS / f"{name}.toml") for name in ("large", "small")], ("--at", "0.6", "0.8"))
     design, page = tmp_path / "design.toml", tmp_path / "page.html"
     design.write_bytes((DESIGNS / "large.toml").read_bytes())
     page.write_bytes(html_document("earlier", [], ""))
