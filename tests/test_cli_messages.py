@@ -137,16 +137,13 @@ def missing() -> str:
     raise metadata.PackageNotFoundError("mcap")
 
 
-def replace_export(patch: pytest.MonkeyPatch, arguments: list[str]) -> None:
-    """Replace the export of parts: `demo` runs without CadQuery, `export` with it."""
+def replace_export(patch: pytest.MonkeyPatch) -> None:
+    """Replace the export of parts."""
     from probedesign import pipeline
 
-    def export(design: object, *_: object) -> dict[str, object]:
-        if arguments[0] == "demo":
-            raise MissingDependencyError.of_extra("export", "CadQuery", "cad")
-        return manifest()
-
-    patch.setattr(pipeline, "export", export)
+    reason = str(MissingDependencyError.of_extra("export", "CadQuery", "cad"))
+    patch.setattr("probedesign.cli.demo._begin_parts", lambda design, folder, skipped: skipped.append(reason))
+    patch.setattr(pipeline, "export", lambda *_: manifest())
     coupon = {
         "folder": "exports/a/coupon", "files": ["calipers.csv", "coupon.step"], "steps_mm": [12.0, 2.0],
         "step_height_mm": 8.0, "rod_mm": [7.0, 70.0],
@@ -166,13 +163,13 @@ def masked(text: str) -> list[str]:
 def transcript(patch: pytest.MonkeyPatch) -> str:
     """Run the script in the current folder and return what the commands print."""
     replace_slow_and_local_parts(patch)
+    replace_export(patch)
     rows = "".join(f"{0.02 * i:.2f},0,0,0,0,0,0,1\n" for i in range(300))
     Path("poses.csv").write_text(f"time_s,x_mm,y_mm,z_mm,qx,qy,qz,qw\n{rows}")
     Path("calipers.csv").write_text("s_mm,diameter_mm\n20,8.42\n50,6.05\n80,3.42\n")
     blocks = []
     for line in SCRIPT.splitlines():
         arguments = shlex.split(line)
-        replace_export(patch, arguments)
         out, err = io.StringIO(), io.StringIO()
         with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
             status = run(arguments)

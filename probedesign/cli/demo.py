@@ -2,6 +2,8 @@
 
 import contextlib
 import io
+import json
+import subprocess
 import sys
 import webbrowser
 from collections.abc import Callable, Sequence
@@ -15,7 +17,7 @@ from probedesign.cli.console import print_json, print_step, write_files
 from probedesign.cli.export import FILE_KINDS
 from probedesign.cli.options import JsonOutput
 from probedesign.cli.predict import prediction_files
-from probedesign.core.errors import InputError, MissingDependencyError
+from probedesign.core.errors import InputError, MissingDependencyError, require
 from probedesign.core.files import exports_of
 from probedesign.reports.html_page import REPORT_STYLE, ReportFigure, labelled, report_page
 
@@ -134,6 +136,7 @@ def run_demo(folder: Path, force: bool, show: Callable[[str], object]) -> dict[s
 
     page = write_page("the prediction")
     show(page.absolute().as_uri())
+    exporting = _begin_parts(design, folder, skipped)
     begin("predicting (the first run compiles the rod and the estimator, half a minute)")
     prediction = pipeline.predict(probe)
     for file in write_files(folder, prediction_files(probe, prediction)):
@@ -178,8 +181,9 @@ def run_demo(folder: Path, force: bool, show: Callable[[str], object]) -> dict[s
                [("found/points.html", "the points in three dimensions")])  # fmt: skip
     else:
         finish("explore", skipped[-1])
-    begin("building the parts")
-    made |= _export(probe, folder, skipped)
+    if exporting is not None:
+        begin("building the parts")
+        made |= _end_parts(exporting, folder, skipped)
     write_page("")
     made[str(page)] = "the page with all results"
     return {"made": made, "page": str(page), "skipped": skipped, **result}
@@ -209,15 +213,30 @@ def _whisker(straight: "Probe", folder: Path, finish: Callable[..., None]) -> di
     return {str(path): "the same probe along an arc", str(folder / "comparison.html"): "both errors beside each other"}
 
 
-def _export(probe: "Probe", folder: Path, skipped: list[str]) -> dict[str, str]:
-    from probedesign import pipeline
+#: Program of the process that exports the parts, on a core of its own; it prints the names of their files.
+_PARTS = """import json, pathlib, sys
+from probedesign import load_design, pipeline
+manifest = pipeline.export(load_design(sys.argv[1]), pathlib.Path(sys.argv[2]), lambda step: None)
+print(json.dumps(list(manifest["files"])))"""
 
+
+def _begin_parts(design: Path, folder: Path, skipped: list[str]) -> "subprocess.Popen[str] | None":
     try:
-        manifest = pipeline.export(probe.design, folder, lambda step: None)
+        require("cadquery", "export", "cad", "CadQuery")
     except MissingDependencyError as error:
         skipped.append(str(error))
+        return None
+    return subprocess.Popen([sys.executable, "-c", _PARTS, str(design), str(folder)], text=True,
+                            stdout=subprocess.PIPE, stderr=subprocess.PIPE)  # fmt: skip
+
+
+def _end_parts(exporting: "subprocess.Popen[str]", folder: Path, skipped: list[str]) -> dict[str, str]:
+    printed, errors = exporting.communicate()
+    if exporting.returncode:
+        skipped.append(f"the parts were not exported: {(errors.splitlines() or ['the process was ended'])[-1]}")
         return {}
-    files = {name: FILE_KINDS[Path(name).suffix].purpose for name in [*manifest["files"], "manifest.json"]}
+    files = {name: FILE_KINDS[Path(name).suffix].purpose
+             for name in [*json.loads(printed.splitlines()[-1]), "manifest.json"]}  # fmt: skip
     files |= {name: "exploded view" for name in files if name.startswith("exploded")}
     return {str(folder / name): purpose for name, purpose in files.items()}
 

@@ -302,9 +302,8 @@ def finite_vector(name: str, value: ArrayLike) -> Array:
         vector = np.array(value, dtype=float)
     except (TypeError, ValueError):
         vector = np.empty(0)
-    _require(
-        vector.shape == (3,) and bool(np.isfinite(vector).all()), f"{name} = {value!r} must be three finite numbers"
-    )
+    if vector.shape != (3,) or not np.isfinite(vector).all():  # the text of an array takes as long as a solve
+        raise InputError(f"{name} = {value!r} must be three finite numbers")
     return vector
 
 

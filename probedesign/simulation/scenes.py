@@ -8,9 +8,11 @@ freely.
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from itertools import accumulate
 
 import numpy as np
+from scipy.optimize import brentq
 
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
@@ -61,28 +63,31 @@ class StraightPress:
         return list(accumulate(travels, lambda last, travel: self.at(travel, last), initial=first))
 
     def travel_for(self, force: float, last: CoulombContact, limit: float = math.inf) -> float:
-        """Return the travel beyond a contact that gives a force [m]: bracketed by doubling steps, then bisected.
+        """Return the travel beyond a contact that gives a force [m]: bracketed by doubled steps, then a root finder.
 
         Less, where the contact is lost before it has the force, and at most `limit` [m].
         """
 
-        def force_at(travel: float) -> float:
+        @lru_cache
+        def excess(travel: float) -> float:
             contact = self.at(travel, last)
-            return contact.magnitude if contact.ok else math.inf
+            return contact.magnitude - force if contact.ok else math.inf
 
         start = low = self.travel_of(last)
         high = min(start + FIRST_STEP, limit)
-        while (at_high := force_at(high)) < force:
+        while excess(high) < 0.0:
             if high >= limit:
                 return limit
             low, high = high, min(2.0 * high - start, limit)
-        while high - low >= DEPTH_TOLERANCE:
+        while not math.isfinite(excess(high)):  # lost on the way
+            if high - low < DEPTH_TOLERANCE:
+                return low
             middle = 0.5 * (low + high)
-            if (at_middle := force_at(middle)) < force:
-                low = middle
-            else:
-                high, at_high = middle, at_middle
-        return high if math.isfinite(at_high) else low
+            low, high = (middle, high) if excess(middle) < 0.0 else (low, middle)
+        if excess(low) >= 0.0:
+            return high
+        root: float = brentq(excess, low, high, xtol=0.5 * DEPTH_TOLERANCE)
+        return min(root + 0.5 * DEPTH_TOLERANCE, high)
 
 
 # scenes of the simulated box
