@@ -37,7 +37,7 @@ SECTIONS = {
                 "probedesign explore {folder}/demo.probe.json --rehearse {folder}/rehearsal"),
 }  # fmt: skip
 #: Time without contact at the start of a rehearsal, and samples of one reading, as in docs/exploring.md.
-TARE, AVERAGE = "0.5:3.5", 36
+TARE, AVERAGE = "0.5:3.5", 72
 #: Simulated contact: 20 mN, swept along the probe and back, with the sensor's noise.
 TOUCH = "force_mN=20&seconds=20&rate_hz=10&speed=max"
 
