@@ -353,14 +353,13 @@ class RehearsalOptions:
         compliance = max(Tolerances.of(model).object_compliance for model in models)
         of_one = compliance * abs(of_cards.normal()) if one_object else None
         targets = touch_targets(lambda: compliance * abs(of_cards.normal()) if of_one is None else of_one)
-        written = list[Path]()
         with show_progress("simulating touches of a card house"):
+            runs = []  # all of them before one is written
             for i, (model, part) in enumerate(zip(models, shared_targets(targets, len(models)), strict=True)):
                 rng = np.random.default_rng([self.seed, 1 + i] if i else self.seed)
                 errors = RunErrors.from_priors(model, base.base(model), self.friction, self.friction_spread)
-                run = simulate_run(model, part, rng, errors)
-                written += write_run(run, model, folders[i], rng, force)
-        return written
+                runs.append((simulate_run(model, part, rng, errors), model, folders[i], rng, force))
+            return [path for run in runs for path in write_run(*run)]
 
 
 @Parameter(name="*")

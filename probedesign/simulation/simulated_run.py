@@ -39,6 +39,7 @@ from probedesign.simulation.scenes import SOURCE, StraightPress, TouchTarget
 #: Forces between which the base alternates [N]; the firm one stays below 5 mN when the robot is off its place.
 LIGHT_FORCE, FIRM_FORCE = 1.0 * MILLINEWTON, 3.5 * MILLINEWTON
 N_CYCLES = 3  #: Number of light and firm presses of each target.
+MAX_LATE = 0.25  #: Part of the light press that errors of the base may take: after the firm one it must still touch.
 _SEARCH_DEPTH = 5.0 * MM  #: Travel beyond the expected first contact within which it is searched [m].
 CLEARANCE = 3.0 * MM  #: Distance from the expected first contact at which the base starts towards an edge [m].
 #: Pitch of the base upwards [rad], so that the probe beyond an edge stays clear of the card behind it.
@@ -287,7 +288,12 @@ class _Bench:
         along = self.R.T @ target.card.along
         return StraightPress(solver, self.gravity, point + clear * direction, direction, along)
 
-    def depths(self, target: TouchTarget, forces: Sequence[float], friction: float) -> list[float]:
+    def depths(self, target: TouchTarget, forces: Sequence[float], friction: float, offset: Array) -> list[float]:
+        """Return how far the base goes beyond the expected first contact for forces on the designed probe [m].
+
+        Where an offset of the base (3,) [m] would leave the light press without contact, all begin at the true one, as
+        of a robot that stops at the first force.
+        """
         press = self.press(target, self.start(target), friction, true=False)
         contact, depths = press.first_contact(CLEARANCE + _SEARCH_DEPTH), list[float]()
         _require_ok(target, contact.result)
@@ -296,29 +302,33 @@ class _Bench:
             contact = press.at(travel, contact)
             _require_ok(target, contact.result if contact.magnitude >= force else "unstable")
             depths.append(travel - CLEARANCE)
-        return depths
+        reached = self.start(target) + depths[0] * target.direction + self.R @ offset
+        press = self.press(target, reached, friction, true=True)
+        contact = press.first_contact(CLEARANCE + 2.0 * _SEARCH_DEPTH)
+        _require_ok(target, contact.result)
+        late = press.travel_of(contact) - CLEARANCE
+        return [depth + late for depth in depths] if late > MAX_LATE * depths[0] else depths
 
 
-def _require_ok(target: TouchTarget, result: str, hint: str = "") -> None:
+def _require_ok(target: TouchTarget, result: str) -> None:
     if result != "ok":
-        raise InputError(f"{target.card.name} at {target.fraction:.2f} of the length: {result}{hint}")
+        raise InputError(f"{target.card.name} at {target.fraction:.2f} of the length: {result}")
 
 
 def _press_poses(
     bench: _Bench, target: TouchTarget, p_bases: Iterable[Array], friction: float
 ) -> Iterator[tuple[float, Array, CoulombContact]]:
     """Yield the travel at first contact [m], the base position [m], (3,), and the contact, position by position."""
-    hint = ": the base with its position error does not press it; try another --seed"
     contact, touched = None, np.nan
     for p in p_bases:
         point = bench.R.T @ (target.p_world - p)
         if contact is None:
             press = bench.press(target, p, friction, true=True)
             contact = press.first_contact(float((press.start - point) @ press.direction))
-            _require_ok(target, contact.result, hint)
+            _require_ok(target, contact.result)
             touched = press.travel_of(contact)
         contact = press.solver.advance(contact, point)
-        _require_ok(target, contact.result, hint)
+        _require_ok(target, contact.result)
         yield touched, p, contact
 
 
@@ -335,7 +345,7 @@ def _touch(
     start = bench.start(target)
     ready = start - CLEARANCE * target.direction
     trajectory.travel_to(ready)
-    depths = bench.depths(target, (LIGHT_FORCE, FIRM_FORCE), friction)
+    depths = bench.depths(target, (LIGHT_FORCE, FIRM_FORCE), friction, offset)
     commanded = [start + depth * target.direction for depth in depths * N_CYCLES]
     begin = trajectory.end
     p_true, contacts = list[Array](), list[CoulombContact]()

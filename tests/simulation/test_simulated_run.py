@@ -58,6 +58,14 @@ def test_a_card_that_yields_is_pressed_with_the_same_force_and_its_point_at_rest
     assert firm - light == pytest.approx(0.2 * (FIRM_FORCE - LIGHT_FORCE), rel=0.05)
 
 
+def test_a_base_that_comes_short_presses_on_from_the_true_contact(estimator):
+    """By half a millimetre, which is more than the light press goes: a robot goes on until it measures a force."""
+    errors = RunErrors(stiffness=0.0, base_offset=0.5e-3, base_repeat=0.0, bias_rate=0.0)
+    for seed in range(4):
+        (touch,) = simulate_run(estimator.model, touch_targets()[6:7], np.random.default_rng(seed), errors).touches
+        assert touch.force > FIRM_FORCE - LIGHT_FORCE  # it goes on by the difference from a light press that touches
+
+
 def test_a_curved_probe_comes_from_above_and_is_pushed_across_its_plane():
     """At three quarters of its length it points along y; the base lies above, and the plane of bending is upright."""
     axis = Axis.helix(0.15, 1.5, 0.0, -0.5 * np.pi)
