@@ -302,11 +302,10 @@ class _Bench:
             contact = press.at(travel, contact)
             _require_ok(target, contact.result if contact.magnitude >= force else "unstable")
             depths.append(travel - CLEARANCE)
-        reached = self.start(target) + depths[0] * target.direction + self.R @ offset
-        press = self.press(target, reached, friction, true=True)
+        press = self.press(target, self.start(target) + self.R @ offset, friction, true=True)
         contact = press.first_contact(CLEARANCE + 2.0 * _SEARCH_DEPTH)
         _require_ok(target, contact.result)
-        late = press.travel_of(contact) - CLEARANCE
+        late = press.travel_of(contact) - CLEARANCE - float(self.R @ offset @ target.direction)
         return [depth + late for depth in depths] if late > MAX_LATE * depths[0] else depths
 
 
