@@ -140,9 +140,7 @@ class SimulatedTrajectory:
     def blocks(self, model: ProbeModel, rng: np.random.Generator) -> Iterator[Block]:
         """Yield single samples of the sensor: constant bias, random walk, white noise and finite resolution."""
         gravity = self.R_world_base.T @ np.array([0.0, 0.0, -9.81])
-        step = model.noise.std * math.sqrt(
-            model.averaging_samples
-        )  # the noise of one sample is one step of the resolution
+        step = model.noise.std * math.sqrt(model.averaging_samples)  # the noise of a sample is a step of the resolution
         time = self._sample_times(SAMPLE_RATE)
         wrench = model.to_sensor(self._interpolate(time, self.wrenches), gravity)
         offset = rng.normal(0.0, STD_OFFSET_STEPS, 6)
@@ -276,8 +274,7 @@ class _Bench:
     def start(self, target: TouchTarget) -> Array:
         s = target.fraction * self.rod.length
         radius = float(self.rod.radius_at(s))
-        start: Array = target.p_world - self.R @ self.free.p_at(s) - radius * target.direction
-        return start
+        return np.asarray(target.p_world - self.R @ self.free.p_at(s) - radius * target.direction)
 
     def press(self, target: TouchTarget, p_base: Array, friction: float, true: bool) -> StraightPress:
         """Return the press of the true or the designed probe onto an edge, from `CLEARANCE` before it."""
@@ -348,8 +345,7 @@ def _touch(
     commanded = [start + depth * target.direction for depth in depths * N_CYCLES]
     begin = trajectory.end
     p_true, contacts = list[Array](), list[CoulombContact]()
-    offset_world = bench.R @ offset
-    true_positions = (p + offset_world + rng.normal(0.0, base_repeat, 3) for p in commanded)
+    true_positions = (p + bench.R @ offset + rng.normal(0.0, base_repeat, 3) for p in commanded)
     for goal, (touched, p, contact) in zip(
         commanded, _press_poses(bench, target, true_positions, friction), strict=True
     ):
