@@ -191,8 +191,9 @@ def _measured(test: Test, campaign: Campaign, common: CommonParameters) -> Measu
     )  # fmt: skip
 
 
-def drift_sizes(common: CommonParameters, tests: Sequence[MeasuredTest]) -> tuple[float, ...]:
-    """Return how much each channel of the sensor drifts over what is assumed, by the free readings, at least 1.
+def drift_sizes(common: CommonParameters, tests: Sequence[MeasuredTest]) -> tuple[tuple[float, ...], float]:
+    """Return how much each channel of the sensor drifts over what is assumed, by the free readings, at least 1, and the
+    factor for its own uncertainty that a size above 1 includes.
 
     In steps of the resolution, readings of the free probe in one pose at times t_i have the covariance
 
@@ -203,7 +204,7 @@ def drift_sizes(common: CommonParameters, tests: Sequence[MeasuredTest]) -> tupl
     It is then multiplied by Student's quantile over the normal one, because so few contrasts determine it.
     """
     read = [test for test in tests if test.free and test.wrench_base is not None]
-    sizes = np.ones(6)
+    sizes, student = np.ones(6), 1.0
     if common.tolerances.walk_steps > 0.0 and len(read) > 1:
         t = np.cumsum((0.0, *common.walk_seconds))[[test.epoch for test in read]]
         poses = np.unique(np.round([test.gravity_base for test in read], 1), axis=0, return_inverse=True)[1].ravel()
@@ -212,7 +213,7 @@ def drift_sizes(common: CommonParameters, tests: Sequence[MeasuredTest]) -> tupl
         bias = contrasts @ np.array([test.wrench_base for test in read]) @ to_steps.T
         noise = np.array([np.diag(to_steps @ np.asarray(test.cov_wrench) @ to_steps.T) for test in read])
         walk = common.tolerances.walk_steps**2 / WALK_SECONDS * np.minimum.outer(t, t) + RAMP_STEPS**2 * np.outer(t, t)
-        student = student_t.ppf(0.975, len(contrasts) + 1) / norm.ppf(0.975)
+        student = float(student_t.ppf(0.975, len(contrasts) + 1) / norm.ppf(0.975))
         squares = np.geomspace(1.0, MAX_DRIFT, 200)[:, None] ** 2
         for channel in range(6 * (len(contrasts) > 0)):
             sigma = contrasts * noise[:, channel] @ contrasts.T
@@ -222,7 +223,7 @@ def drift_sizes(common: CommonParameters, tests: Sequence[MeasuredTest]) -> tupl
             loss += np.log(squares[:, 0]) + 1.0 / squares[:, 0]
             best = math.sqrt(squares[int(np.argmin(loss)), 0])
             sizes[channel] = best * student if best > 1.0 else 1.0
-    return tuple(sizes.tolist())
+    return tuple(sizes.tolist()), student
 
 
 def _unusable(test: MeasuredTest) -> str:
@@ -253,7 +254,8 @@ def identify(data: IdentificationData, names: Sequence[str] = DEFAULT, accept: b
     """
     begun = time.perf_counter()
     names = check_requested(names)
-    data = replace(data, common=replace(data.common, drift=drift_sizes(data.common, data.tests)))
+    sizes, student = drift_sizes(data.common, data.tests)
+    data = replace(data, common=replace(data.common, drift=sizes))
     data, start = _solvable(data, names)
     _check_counts(data, names)
     fitted, identified, unobservable = _search(data, names, start)
@@ -297,7 +299,7 @@ def identify(data: IdentificationData, names: Sequence[str] = DEFAULT, accept: b
         (*warnings, *data.notes, *(f"possible {cause}" for cause in exchanges),
          *(other.description for other in unobservable),
          *outlier_notes(blocks, outlying),
-         *_remarks(fitted)),
+         *_remarks(fitted, student)),
         result.residuals_of(fitted), time.perf_counter() - begun, likely_causes=causes,
     )  # fmt: skip
     if not why:
@@ -388,19 +390,21 @@ def _check_counts(data: IdentificationData, names: Sequence[str]) -> None:
         )
 
 
-def _remarks(fitted: Fit) -> list[str]:
-    """Return notes on the fit for the user."""
+def _remarks(fitted: Fit, student: float) -> list[str]:
+    """Return notes on the fit for the user; `student` is the factor on the sizes of the drift for their uncertainty,
+    which is no drift: it exceeds two where two free readings are all."""
     notes = []
     factor = math.exp(fitted.point.values.x[LOG_E])
     if not 1.0 / SUSPICIOUS_FACTOR < factor < SUSPICIOUS_FACTOR:
         notes.append(f"E is {factor:.3g} times the design's: are forces and moments in their columns' units?")
     common = fitted.point.problem.common
+    walk = common.tolerances.walk_steps
     rates = fitted.point.values.x[common.walk_columns(0)] * common.drift * RAMP_STEPS * 3600.0
     for name, size, rate in zip(CHANNELS, common.drift, rates, strict=True):
-        if size > NOTED_DRIFT:
-            notes.append(f"bias of {name}: by the free readings it drifts up to {size:.2g} times as much as assumed: a "
-                         f"walk of {size * common.tolerances.walk_steps:.2g} steps of the resolution in "
-                         f"{WALK_SECONDS:g} s, a rate of {rate:.2g} steps an hour; intervals include it")  # fmt: skip
+        if size > NOTED_DRIFT * student:
+            notes.append(f"bias of {name}: by the free readings it drifts {size / student:.2g} times as much as "
+                         f"assumed; the intervals include up to {size:.2g} times: a walk of {size * walk:.2g} steps of "
+                         f"the resolution in {WALK_SECONDS:g} s, a rate of {rate:.2g} steps an hour")  # fmt: skip
     return notes + [
         f"{LABELS[noise.kind]} scatter {noise.scale:.2g} times as much as stated; the intervals include it"
         for noise in fitted.noise

@@ -1,6 +1,6 @@
 """Result of an identification: numbers with intervals and their error budget, outliers and residuals, for JSON and CSV.
 
-Attributes of the classes are the keys of identification.json, except those of `JSON_NAMES`, whose keys are older.
+Attributes of the classes are the keys of identification.json.
 """
 
 import math
@@ -46,7 +46,6 @@ DATA_SHARE = 0.5
 #: Of the standard deviation of a number: smaller contributions to it, 1 % of its variance, are not listed.
 MIN_CONTRIBUTION = 0.1
 ACCEPTED = "accepted contradiction"  #: Name of what the acceptance of a contradiction adds to an error budget.
-JSON_NAMES = {"caveat": "doubt"}
 
 
 @dataclass(frozen=True)
@@ -229,7 +228,6 @@ class Identification(Tabular):
     def as_dict(self) -> dict[str, Any]:
         """Return plain data for JSON."""
         document = asdict(self)
-        document["found"] = [{JSON_NAMES.get(key, key): number[key] for key in number} for number in document["found"]]
         document["correlation"] = self.correlation.tolist()
         document["residuals"] = [{**row, "unit": UNITS[row["kind"]]} for row in document["residuals"]]
         return document

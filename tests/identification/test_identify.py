@@ -15,7 +15,7 @@ from probedesign.design.edit import edit_text
 from probedesign.design.io import render_design
 from probedesign.estimation.model import ProbeModel, Tolerances
 from probedesign.identification.design_update import design_changes
-from probedesign.identification.identify import IdentificationData, data_of, drift_sizes, identify
+from probedesign.identification.identify import NOTED_DRIFT, IdentificationData, data_of, drift_sizes, identify
 from probedesign.identification.parameters import MAX_ROOT_DEVIATION, PARAMETERS, CommonParameters
 from probedesign.identification.residuals import MassMeasurement, MeasuredTest
 from probedesign.probe import build_probe
@@ -317,11 +317,14 @@ def test_the_drift_of_the_bias_is_that_of_the_free_readings(model: ProbeModel) -
     Student's factor adds 6 %, and the rate, which may take part of the walk."""
     rng, drift = np.random.default_rng(0), np.array([1.0, 1.0, 30.0, 1.0, 1.0, 30.0])
     shared = replace(_shared(model), walk_seconds=(60.0,) * 20)
-    found = np.array([drift_sizes(shared, _drifting(model, drift, rng, 21)) for _ in range(10)])
-    assert np.all(np.abs(np.log(found[:, [2, 5]] / 30.0)) < 4.0 * 0.16)
-    assert np.median(found[:, [0, 1, 3, 4]]) < 1.3 and found.min() == 1.0
+    sizes = np.array([drift_sizes(shared, _drifting(model, drift, rng, 21))[0] for _ in range(10)])
+    assert np.all(np.abs(np.log(sizes[:, [2, 5]] / 30.0)) < 4.0 * 0.16)
+    assert np.median(sizes[:, [0, 1, 3, 4]]) < 1.3 and sizes.min() == 1.0
+    # two free readings as assumed: one contrast, whose Student's factor alone is 2.2; z² > 7 has a chance of 0.8 %
+    pairs = [drift_sizes(shared, _drifting(model, np.ones(6), rng, 2)) for _ in range(50)]
+    assert np.mean([np.array(sizes) > NOTED_DRIFT * student for sizes, student in pairs]) < 0.03
     still = replace(shared, tolerances=replace(shared.tolerances, walk_steps=0.0))
-    assert drift_sizes(still, _drifting(model, drift, rng, 21)) == (1.0,) * 6
+    assert drift_sizes(still, _drifting(model, drift, rng, 21))[0] == (1.0,) * 6
 
 
 @pytest.mark.parametrize("drift", [1.0, 5.0, 30.0])
@@ -333,7 +336,7 @@ def test_the_bias_between_free_readings_is_in_its_interval(drift: float, model: 
     for _ in range(draws):
         tests = _drifting(model, np.full(6, drift), rng, 6)
         known, last = tests[:-1], tests[-1]
-        sized = replace(shared, drift=drift_sizes(shared, known))
+        sized = replace(shared, drift=drift_sizes(shared, known)[0])
         modes = [np.hstack([M := sized.walk_modes(test.epoch), np.zeros((6, 126 - M.shape[1]))]) for test in tests]
         change = last.wrench_base - known[-1].wrench_base
         by = modes[-1] - modes[-2]
