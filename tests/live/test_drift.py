@@ -1,15 +1,20 @@
 """A drifting zero is followed or named, a leap is told from a touch, and a tare by the user ends every deadlock."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from probedesign.core.errors import InputError
+from probedesign.core.statistics import FALSE_ALARM, max_chi2
+from probedesign.estimation.estimator import Estimator
 from probedesign.live.blocks import Block, WrenchReading
+from probedesign.live.poses.base_poses import BasePoses, TimedPose
 from probedesign.live.processing.chain import Chain, ProcessingOptions
 from probedesign.live.processing.tare import TareWindow, take_tare
-from probedesign.rod.contact import solve_frictionless
+from probedesign.live.processing.touches import touch_changes
+from probedesign.rod.contact import solve_frictionless, solve_surface_force
 
 RATE = 50.0  #: Of the means [Hz].
 BIAS = np.array([0.3, -0.2, 0.5, 0.002, -0.003, 0.001])
@@ -109,6 +114,63 @@ def test_a_touch_is_no_leap(estimator, touch_wrench):
     updates, lines, chain = run(estimator, bias, touch=(8.0, 18.0), wrench=touch_wrench)
     assert not [line for line in lines if "leapt" in line or "warming" in line]
     assert results(updates, 9.0, 17.5) == {"ok"} and len(chain.contacts) == 1
+
+
+def test_no_light_touch_of_one_channel_is_a_leap(model, steps):
+    """Drawn touches with friction, of a print whose E is off by 3 %, under any gravity: where noise leaves one channel
+    alone, the nearest touch that is compared explains the rest. The leap's limit is beyond all of 300 such touches."""
+    rng, singles, left = np.random.default_rng(5), 0, []
+    limit = max_chi2(5, FALSE_ALARM)
+    while singles < 300:
+        gravity = rng.normal(size=3)
+        gravity *= 9.81 / np.linalg.norm(gravity)
+        rod = replace(model.rod, youngs_modulus=model.rod.youngs_modulus * math.exp(0.03 * rng.normal()))
+        ratio, angle = rng.uniform(0.0, 0.8), rng.uniform(-math.pi, math.pi)
+        touch = solve_surface_force(
+            rod, gravity, rng.uniform() * rod.length, rng.uniform(-math.pi, math.pi),
+            0.2e-3 * 20.0 ** rng.uniform(), (ratio * math.cos(angle), ratio * math.sin(angle)),
+        )  # fmt: skip
+        change = touch.equilibrium.wrench_base - rod.solve(gravity).wrench_base
+        std = rng.choice([0.06, 0.1, 0.3])
+        in_noise = model.to_sensor(change, np.zeros(3)) / steps / std + rng.standard_normal(6)
+        chi2 = float(in_noise @ in_noise)
+        if chi2 - np.square(in_noise).max() < limit < chi2:
+            singles += 1
+            left.append(chi2 - max(float((touch_changes(model, gravity) @ in_noise).max()), 0.0) ** 2)
+    assert max(left) < limit
+
+
+@pytest.mark.parametrize(("push", "end", "leaps"), [(-8.0, 14.0, 0), (8.0, math.inf, 1)])
+def test_a_push_on_the_end_is_a_touch_and_a_pull_is_a_leap(push, end, leaps, model, steps):
+    """A probe that hangs down is pushed along its axis by 25 mN: Fz alone changes. Nothing pulls at it."""
+    hanging = Estimator(replace(model, gravity_base=np.array([0.0, 0.0, 9.81])))
+    updates, lines, chain = run(hanging, np.zeros((800, 6)), touch=(8.0, end), wrench=push * steps * np.eye(6)[2])
+    assert len([line for line in lines if "Fz leapt by 25 mN" in line]) == leaps
+    assert len(chain.contacts) == 1 - leaps and updates[-1].phase == "free"
+
+
+def test_the_follower_learns_nothing_while_the_base_turns(estimator, model, steps):
+    """A drift of 6 steps a minute while the base rests. While it turns about the vertical, readings creep by as much
+    the other way, as by an error of gravity: the known rate stays, and is right 15 s after the base has stopped."""
+    t, rng = np.arange(int(60.0 * RATE)) / RATE, np.random.default_rng(4)
+    rate = np.where((t >= 25.0) & (t < 31.0), -0.1, 0.1)
+    read = BIAS + np.outer(np.cumsum(rate) / RATE, steps) + model.noise.std * rng.standard_normal((len(t), 6))
+    read += model.to_sensor(model.rod.solve(model.gravity_base).wrench_base, model.gravity_base)
+    up = -model.gravity_base / np.linalg.norm(model.gravity_base)
+    turned = [0.1 * np.clip(at - 25.0, 0.0, 6.0) for at in t]
+    stated = [TimedPose(at, (0.0, 0.0, 0.0), (*np.sin(a / 2.0) * up, np.cos(a / 2.0)))
+              for at, a in zip(t.tolist(), turned, strict=True)]  # fmt: skip
+    poses = BasePoses("stated", stated, gravity_world=model.gravity_base)
+    chain, known = Chain(estimator, TARE, poses, lambda line: None), []
+    for i in range(len(t)):
+        block = Block(t[i : i + 1], read[i : i + 1], model.gravity_base, np.full(1, math.nan))
+        known += [(u.reading.time, u.phase, chain._monitor._follower.rate) for u in chain.process(block)]
+    at, rates = np.array([row[0] for row in known]), np.array([row[2] for row in known])
+    assert {phase for time, phase, _ in known if 25.5 < time < 31.0} == {"moving"}
+    assert len(set(rates[(at > 25.5) & (at < 31.0)])) == 1
+    # The slowest filter that is in use knows the rate to about a tenth of it.
+    for when in ((at > 20.0) & (at < 31.0), at > 46.0):
+        np.testing.assert_allclose(rates[when], 0.1, atol=0.03)
 
 
 def test_a_leap_of_all_channels_ends_with_a_tare_by_the_user(estimator, steps, touch_wrench):
