@@ -53,10 +53,7 @@ _STATIONS = 160
 _MIN_ADVANCE = 1e-4  # rod lengths: penetrations shallower than a ten-thousandth of that may be missed
 _NEAR = 1e-6  # rod lengths: accuracy; Newton's method continues from there
 _FAR = 0.02  # rod lengths: beyond, the distance from spheres about the axis is accurate enough
-_MAX_BISECTIONS = 60
-_WITHIN = 1.0 - 1e-9  # of the last interval: the contact begins without penetration
 _MAX_STEPS = 100_000
-_TANGENTS, _NEWTON_STEPS = 32, 4  # of an elliptic outline, to find the one next to a point
 
 
 class Obstacle(NamedTuple):
@@ -88,12 +85,13 @@ class FirstContactQuery:
     equilibrium: Equilibrium  #: of the rod under gravity alone.
 
     def first_contact(self, obstacle: Obstacle) -> tuple[float, NearestPoint] | None:
-        """Return the fraction of the path at the first contact, and where it is; None without contact.
+        """Return the fraction of the path just behind the first contact, and where it is; None without contact.
 
-        The object advances in each step by a lower bound of its distance from the rod.
+        The object advances in each step by a lower bound of its distance from the rod, so that it is at most
+        `_MIN_ADVANCE` inside.
         """
         path, length = float(np.linalg.norm(obstacle.travel)), self.rod.length
-        fraction, before, gap = 0.0, 0.0, _NEAR * length
+        fraction = 0.0
         for _ in range(_MAX_STEPS):
             # From the spheres, less the gap between their centres: a lower bound.
             point = obstacle.at(fraction)
@@ -101,30 +99,12 @@ class FirstContactQuery:
             if distance < _FAR * length:
                 near = self._nearest(point, obstacle.direction)
                 if near.distance < 0.0:
-                    return self._narrowed(obstacle, (before, gap), (fraction, near))
+                    return fraction, near
                 distance = max(distance, 0.8 * near.distance, _MIN_ADVANCE * length)
-                gap = near.distance
             if fraction >= 1.0:
                 return None
-            before, fraction = fraction, min(1.0, fraction + distance / max(path, 1e-300))
+            fraction = min(1.0, fraction + distance / max(path, 1e-300))
         return None
-
-    def _narrowed(
-        self, obstacle: Obstacle, outside: tuple[float, float], inside: tuple[float, NearestPoint]
-    ) -> tuple[float, NearestPoint]:
-        """Refine the contact between a fraction outside, with its distance [m], and one inside, by false position."""
-        for _ in range(_MAX_BISECTIONS):
-            (clear, gap), (fraction, near) = outside, inside
-            weight = gap / (gap - near.distance)
-            if near.distance > -_NEAR * self.rod.length:
-                break
-            middle = clear + min(max(weight, 0.1), 0.9) * (fraction - clear)
-            there = self._nearest(obstacle.at(middle), obstacle.direction)
-            if there.distance > 0.0:
-                outside = middle, there.distance
-            else:
-                inside = middle, there
-        return clear + min(weight, _WITHIN) * (fraction - clear), near
 
     def _nearest(self, point: Array, direction: Array | None) -> NearestPoint:
         """Return the nearest point to a point, or to a line, by refining about the best of the line's points."""
@@ -149,55 +129,30 @@ class FirstContactQuery:
         return distance
 
     def _of_points(self, points: Array, ways: Array) -> NearestPoint:
-        """Return the nearest of several points (m, 3); the body about the nearest section counts as straight."""
+        """Return the nearest of several points (m, 3); the body about the nearest section counts as straight.
+
+        An elliptic section is scaled to a round one, and distances by the smaller of its half-widths over the radius: a
+        lower bound.
+        """
         s, from_axis = self._feet(points)
-        reach = np.ones(len(s))
         if self.rod.flatness != 1.0:
-            from_axis, reach = self._across(points, s)
+            at = np.clip(s, 0.0, self.rod.length)
+            xy = np.einsum("ni,nij->nj", points - self.equilibrium.p_at(at), self.equilibrium.R_at(at))[:, :2]
+            from_axis = np.hypot(xy[:, 0], xy[:, 1] / self.rod.flatness)
         # The signed distance from the outline, base over flank to the centre of the tip, in the half plane (s, r).
-        corners = np.zeros((len(s), len(self.rod.s) + 1, 2))
-        corners[:, :-1, 0], corners[:, :-1, 1], corners[:, -1, 0] = (
-            self.rod.s,
-            np.outer(reach, self.rod.radius),
-            self.rod.length,
-        )
-        a, along = corners[:, :-1], np.diff(corners, axis=1)
+        corners = np.append(np.stack([self.rod.s, self.rod.radius], axis=1), [[self.rod.length, 0.0]], axis=0)
+        a, along = corners[:-1], np.diff(corners, axis=0)
         here = np.stack([s, from_axis], axis=1)[:, None]
-        c = np.clip(((here - a) * along).sum(axis=2) / (along**2).sum(axis=2), 0.0, 1.0)
+        c = np.clip(((here - a) * along).sum(axis=2) / (along**2).sum(axis=1), 0.0, 1.0)
         nearest = a + c[:, :, None] * along
         gaps = np.linalg.norm(here - nearest, axis=2)
         k, rows = np.argmin(gaps, axis=1), np.arange(len(s))
-        inside = (from_axis < reach * self.rod.radius_at(s)) & (s < self.rod.length) & (s > 0.0)
-        distance = np.where(inside, -1.0, 1.0) * gaps[rows, k]
+        inside = (from_axis < self.rod.radius_at(s)) & (s < self.rod.length) & (s > 0.0)
+        distance = np.where(inside, -1.0, 1.0) * gaps[rows, k] * min(1.0, self.rod.flatness)
         j = int(np.argmin(distance))
         return NearestPoint(
             float(distance[j]), float(nearest[j, k[j], 0]), bool(k[j] == len(self.rod.s) - 1), float(ways[j])
         )
-
-    def _across(self, points: Array, s: Array) -> tuple[Array, Array]:
-        """Return how far points lie from the axis along the normal of the section's outline next to them [m], and how
-        far the outline reaches along it, over the radius, (n,) each.
-
-        The signed distance from a convex outline is the greatest of those from its tangents, e·x - r g(φ).
-        """
-        f, radius, at = self.rod.flatness, self.rod.radius_at(s), np.clip(s, 0.0, self.rod.length)
-        xy = np.einsum("ni,nij->nj", points - self.equilibrium.p_at(at), self.equilibrium.R_at(at))[:, :2]
-
-        def beyond(phi: Array) -> tuple[Array, Array, Array]:
-            x, y = np.cos(phi), np.sin(phi)
-            g, k = outline(f, x, y)
-            along = xy[:, :1] * x + xy[:, 1:] * y
-            slope = xy[:, 1:] * x - xy[:, :1] * y - radius[:, None] * k
-            return along - radius[:, None] * g, slope, along + radius[:, None] * (f * f / g**3 - g)
-
-        grid = np.linspace(-np.pi, np.pi, _TANGENTS, endpoint=False)
-        phi = grid[np.argmax(beyond(np.tile(grid, (len(s), 1)))[0], axis=1)][:, None]
-        for _ in range(_NEWTON_STEPS):
-            distance, slope, bends = beyond(phi)
-            ahead = phi + np.clip(slope / np.maximum(bends, 1e-300), -2.0 / _TANGENTS, 2.0 / _TANGENTS)
-            phi = np.where(beyond(ahead)[0] > distance, ahead, phi)
-        reach = outline(f, np.cos(phi), np.sin(phi))[0][:, 0]
-        return beyond(phi)[0][:, 0] + radius * reach, reach
 
     def _feet(self, points: Array) -> tuple[Array, Array]:
         """Return the arclength of each point's foot on the axis, extended at both ends, and its distance."""
