@@ -41,6 +41,8 @@ MAX_ITERATIONS = 40
 CLOSE = 1e-3  #: Step of the touched point, in standard deviations, at which the iterations end.
 #: Step of a pose's own unknowns, in standard deviations given the point, at which they end too; it is taken.
 SETTLED_STEP = 0.03
+#: How far beyond the end of the rod a touch of the tip may lie, in standard deviations of its point.
+PAST_END = 3.0
 #: Groups of error sources whose absence `rms_without` reports, with the priors of exact ones.
 GROUPS: dict[str, dict[str, Any]] = {
     "stiffness": {"youngs_modulus": 0.0, "shear_modulus": 0.0, "creep": 0.0, "stiffness_scatter": 0.0},
@@ -288,7 +290,7 @@ class Fusion:
             back = float(step @ last_step) < -0.25 * float(last_step @ last_step)
             damping = max(0.5 * damping, 0.1) if back else min(2.0 * damping, 1.0)
             last_step, point, linearised = step, state.point.copy(), state.touches[: len(start)].copy()
-            size = state.step(damping)
+            size = state.step(damping, beyond=PAST_END * statistics.rms(cov))
             state.compliance[0] = state.object_compliance
             near = float(np.abs(step).max()) <= CLOSE * statistics.rms(cov) + 1e-9
             if near and size <= SETTLED_STEP * math.sqrt(1.0 + chi2):

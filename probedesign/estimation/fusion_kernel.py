@@ -223,7 +223,7 @@ def own_unknowns(local, x, n, rhs, step):
 
 
 @kernel
-def step_keyframe(touch, lin, local, x, share, max_step, end, work):
+def step_keyframe(touch, lin, local, x, share, max_step, end, beyond, work):
     """Move a pose's touch to the solution of the common unknowns, or part of the way if that is far.
 
     Args:
@@ -231,6 +231,7 @@ def step_keyframe(touch, lin, local, x, share, max_step, end, work):
         local: from `reduce_keyframe`; x: from `solve_reduced`.
         share: of the step to go at most; max_step: of arclength [m].
         end: furthest arclength at which a touch acts [m].
+        beyond: how far beyond it the errors may place a touch that stays there [m].
         work: scratch, (60,).
 
     Returns:
@@ -239,6 +240,8 @@ def step_keyframe(touch, lin, local, x, share, max_step, end, work):
     n = x.shape[0]
     step, move, before = work[:LOCAL], work[LOCAL : LOCAL + MOVE], work[30 : 30 + TOUCH]
     own_unknowns(local, x, n, LOCAL + n, step)
+    if touch[0] >= end and 0.0 < step[0] <= beyond:
+        step[0] = 0.0  # the point of the linear model lies beyond the end, as on a longer rod
     size = 0.0
     for i in range(LOCAL):
         total = 0.0
