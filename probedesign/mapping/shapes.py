@@ -50,6 +50,7 @@ BENT = 0.15  #: Standard deviation of the angle by which a press bends the probe
 FORCE_NOISE = 0.1  #: Standard deviation of the direction of a force by the sensor's noise [rad]: 0.5 mN of 5 mN.
 MISSED = 0.003  #: Probability with which a touch of a shape is too far from it to count as one.
 MIN_ODDS = math.log(20.0)  #: Logarithm of the least odds of a shape against separate touches.
+SAME_NORMAL = math.cos(math.radians(5.0))  #: Least cosine of the normals of two planes that are one; assumed.
 SEEDS = 150  #: Number of random sets of touches from which each kind of shape is begun.
 ROUNDS = 6  #: Largest number of choices of candidates.
 
@@ -447,23 +448,41 @@ class ShapeFit:
         for kind in [kind for kind, of in KINDS.items() if of.fewest <= len(self.touches)]:
             for shape in self._grown(kind, rng):
                 add(shape)
-        chosen = list[Shape]()
+        chosen, bounded = list[Shape](), set[tuple[str, ...]]()
         for _ in range(ROUNDS):
             before, chosen = chosen, self._packed(list(every.values()))
             if before and all(former is shape for former, shape in zip(before, chosen, strict=False)):
                 break
             for shape in [shape for shape in chosen if not shape.rim]:
-                for more in (*self._parts(shape), *(self._sheets(shape) if shape.kind == "edge" else ())):
+                for more in self._parts(shape):
                     add(more)
+            free = [shape for shape in every.values() if not shape.rim]
+            edges = sorted((shape for shape in free if shape.kind == "edge"), key=lambda shape: shape.odds)
+            best = {label: shape for shape in edges for label in shape.touches}
+            for edge in [*best.values(), *(shape for shape in chosen if shape.kind == "edge")]:
+                if edge.touches not in bounded:
+                    bounded.add(edge.touches)
+                    for more in self._sheets(edge):
+                        add(more)
             sets = {(shape.kind, *shape.touches) for shape in every.values()}
-            for shape, other in product([shape for shape in every.values() if not shape.rim], chosen):
+            for shape, other in product(free, chosen):
                 rest = tuple(label for label in shape.touches if label not in other.touches)
                 if KINDS[shape.kind].fewest <= len(rest) < len(shape.touches) and (shape.kind, *rest) not in sets:
                     sets.add((shape.kind, *rest))
                     add(self.fitted(shape, self.touches.subset(self._indices(rest))))
         judged = (self.of_one(self._indices(shape.rim or shape.touches), rng) for shape in chosen)
         known = [shape for shape in judged if shape is not None and shape.odds >= MIN_ODDS]
-        return sorted(known + [shape for shape in chosen if shape.rim], key=lambda shape: -shape.odds)
+        total, candidates = sum(shape.odds for shape in chosen), list(every.values())
+        for sheet in [shape for shape in chosen if shape.rim]:
+            rivals = [shape for shape in candidates if not _same_sheet(shape, sheet)]
+            margin = total - sum(shape.odds for shape in self._packed(rivals))
+            which = self._indices(sheet.touches)
+            touches = self.touches.without_forces(np.isin(self.touches.labels, sheet.rim)).subset(which)
+            fit = self.fitted(sheet, touches) if margin >= MIN_ODDS else None
+            if fit is not None:
+                sure = {"plane": 1.0 / (1.0 + math.exp(-margin))}
+                known.append(replace(fit, rim=sheet.rim, odds=sheet.odds, probabilities=sure))
+        return sorted(known, key=lambda shape: -shape.odds)
 
     def _grown(self, kind: str, rng: np.random.Generator) -> Iterator[Shape]:
         """Yield shapes of a kind to which the touch that agrees best is added, one after the other."""
@@ -495,26 +514,75 @@ class ShapeFit:
         return sorted(chosen, key=lambda shape: -shape.odds)
 
     def _sheets(self, edge: Shape) -> Iterator[Shape]:
-        """Yield the planes through an edge and two or more other touches; they turn about the edge alone."""
-        on_edge = np.isin(self.touches.labels, edge.touches)
-        touches, without = self.touches.without_forces(on_edge), _log_without(self.touches)
-        for j in np.flatnonzero(~on_edge):
-            normal = np.cross(edge.frame[:, 2], touches.p[j] - edge.p)
-            if np.linalg.norm(normal) < EXTENTS[0]:
-                continue
-            plane = Shape("plane", edge.p, _frame(normal * math.copysign(1.0, normal @ touches.force[j])))
-            extents, gained = np.full(2, 0.05), 0.0
+        """Yield half-planes that an edge bounds, through other touches, with their odds and without their covariance.
+
+        They turn about the edge by one angle. The touches of the edge have normals on the side away from the sheet, and
+        those of the face lie behind the edge, uniform in a width along the edge and in a depth, both log-uniform.
+        """
+        i = self._indices(edge.touches)
+        others = np.setdiff1d(np.arange(len(self.touches)), i)
+        if not len(others):
+            return
+        of, E = self.touches.subset(others), edge.frame
+        local, J = (of.p - edge.p) @ E, _local_by_parameters(edge, of.p)
+        along = (self.touches.p[i] - edge.p) @ E[:, 2]
+        std, tip, without = self._std(edge, of), _log_tip_contact(of), _log_without(of)
+        std_edge, f_edge, f = self._std(edge, self.touches.subset(i)), edge.forces @ E, of.force @ E
+        cov = np.einsum("xa,ixjy,yb->iajb", E, of.cov, E)
+
+        def sheet(k: NDArray[np.intp], angle: float, side: float) -> tuple[float, float]:
+            """Return the logarithm of the odds of a sheet against separate touches of the face, and its angle."""
             for _ in range(3):
-                gain = self._log_each(plane, touches, extents) - without
-                inside = (gain > 0.0) & ~on_edge
-                fit = self.fitted(plane, touches.subset(np.flatnonzero(inside | on_edge))) if inside.sum() > 1 else None
-                if fit is None:
+                d = np.array([math.cos(angle), math.sin(angle), 0.0])
+                n = np.array([-d[1], d[0], 0.0])
+                g, depth, N = local[k] @ n, local[k] @ d, J[k].transpose(0, 2, 1) @ n
+                S = n @ cov[np.ix_(k, range(3), k, range(3))].transpose(0, 2, 1, 3) @ n + N @ edge.cov @ N.T
+                turn = np.arctan2(side * (f[k] @ -d), side * (f[k] @ n))
+                solved = np.linalg.solve(S, np.column_stack([g, depth]))
+                h = float(depth @ solved[:, 1] + (1.0 / std[k] ** 2).sum())
+                by = float(depth @ solved[:, 0] + (turn / std[k] ** 2).sum()) / h
+                angle += by
+            chi2 = float(g @ solved[:, 0])
+            if chi2 > statistics.max_chi2(len(k), MISSED):
+                return -math.inf, angle
+            off = np.arccos(np.clip(side * (f[k] @ n), -1.0, 1.0)) / std[k]
+            log_Z = -0.5 * chi2 - 0.5 * float(np.linalg.slogdet(2.0 * math.pi * S)[1])
+            log_Z += float((tip[k] - 0.5 * off**2 - np.log(2.0 * math.pi * std[k] ** 2) - without[k]).sum())
+            log_Z += float((math.log(2.0) + log_ndtr(-np.arcsin(np.clip(f_edge @ d, -1.0, 1.0)) / std_edge)).sum())
+            log_Z += float(log_ndtr(depth / np.sqrt(np.einsum("a,iaib,b->i", d, cov[k][:, :, k], d))).sum())
+            log_Z -= len(k) * math.log(max(depth.max(), EXTENTS[0])) + math.log(
+                len(k) * math.log(EXTENTS[1] / EXTENTS[0])
+            )
+            both = np.concatenate([along, local[k, 2]])
+            log_Z += _log_extent(float(np.ptp(both)), len(both)) - _log_extent(float(np.ptp(along)), len(along))
+            return log_Z - math.log(4.0 * math.pi) + 0.5 * math.log(2.0 * math.pi / h), angle
+
+        tried = set[bytes]()
+        alone = [
+            (sheet(np.array([j]), math.atan2(local[j, 1], local[j, 0]), side), j, side)
+            for j in range(len(others)) for side in (-1.0, 1.0)
+        ]  # fmt: skip
+        for (odds, angle), j, side in alone:
+            if odds < 0.0:
+                continue
+            inside = np.array([j])
+            while True:
+                if inside.tobytes() not in tried:
+                    tried.add(inside.tobytes())
+                    d = E @ (math.cos(angle), math.sin(angle), 0.0)
+                    frame = np.column_stack([E[:, 2], d, side * np.cross(E[:, 2], d)])
+                    frame[:, 0] *= side
+                    labels = edge.touches + tuple(of.labels[k] for k in inside)
+                    yield Shape("plane", edge.p, frame, touches=labels, rim=edge.touches, odds=edge.odds + odds)
+                grown = [
+                    (sheet(np.append(inside, k), angle, side), k) for k in np.setdiff1d(np.arange(len(others)), inside)
+                    if abs(angle - math.atan2(local[k, 1], local[k, 0])) < 0.5
+                ]  # fmt: skip
+                better = max(grown, key=lambda one: one[0][0], default=None)
+                if better is None or better[0][0] < odds:
                     break
-                plane, extents = fit, np.maximum(np.ptp(fit.extent, axis=1), EXTENTS[0]) * 1.5
-                gained = float(gain[inside].sum()) + math.log(plane.tilt / math.sqrt(2.0 * math.pi))
-            if plane.touches and gained >= MIN_ODDS:
-                sure = {"plane": 1.0 / (1.0 + math.exp(-gained))}
-                yield replace(plane, rim=edge.touches, odds=edge.odds + gained, probabilities=sure)
+                (odds, angle), k = better
+                inside = np.sort(np.append(inside, k))
 
     def _parts(self, shape: Shape) -> Iterator[Shape]:
         """Yield the parts of a shape on either side of each gap between its touches."""
@@ -550,6 +618,12 @@ def missing(touches: TouchSet, shapes: Sequence[Shape]) -> str:
         return ""
     fewest = ", ".join(f"{'an' if kind == 'edge' else 'a'} {kind} {of.fewest}" for kind, of in KINDS.items())
     return f"no shape: touch {' '.join(left)}; needed are touches that agree: {fewest}"
+
+
+def _same_sheet(shape: Shape, sheet: Shape) -> bool:
+    """Return whether a shape is a plane of the same edge and the same normal as a sheet, by a few degrees."""
+    shared = set(shape.rim) & set(sheet.rim)
+    return len(shared) > 1 and float(shape.frame[:, 2] @ sheet.frame[:, 2]) > SAME_NORMAL
 
 
 def _six(free: list[int], by: Array) -> Array:
