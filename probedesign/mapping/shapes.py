@@ -478,6 +478,8 @@ class ShapeFit:
             margin = total - sum(shape.odds for shape in self._packed(rivals))
             which = self._indices(sheet.touches)
             touches = self.touches.without_forces(np.isin(self.touches.labels, sheet.rim)).subset(which)
+            side = np.where(touches.force @ sheet.frame[:, 2] < 0.0, -1.0, 1.0)  # a thin body is touched on both sides
+            touches = replace(touches, force=side[:, None] * touches.force)
             fit = self.fitted(sheet, touches) if margin >= MIN_ODDS else None
             if fit is not None:
                 sure = {"plane": 1.0 / (1.0 + math.exp(-margin))}
@@ -530,13 +532,14 @@ class ShapeFit:
         std_edge, f_edge, f = self._std(edge, self.touches.subset(i)), edge.forces @ E, of.force @ E
         cov = np.einsum("xa,ixjy,yb->iajb", E, of.cov, E)
 
-        def sheet(k: NDArray[np.intp], angle: float, side: float) -> tuple[float, float]:
+        def sheet(k: NDArray[np.intp], angle: float) -> tuple[float, float]:
             """Return the logarithm of the odds of a sheet against separate touches of the face, and its angle."""
             for _ in range(3):
                 d = np.array([math.cos(angle), math.sin(angle), 0.0])
                 n = np.array([-d[1], d[0], 0.0])
                 g, depth, N = local[k] @ n, local[k] @ d, J[k].transpose(0, 2, 1) @ n
                 S = n @ cov[np.ix_(k, range(3), k, range(3))].transpose(0, 2, 1, 3) @ n + N @ edge.cov @ N.T
+                side = np.where(f[k] @ n < 0.0, -1.0, 1.0)
                 turn = np.arctan2(side * (f[k] @ -d), side * (f[k] @ n))
                 solved = np.linalg.solve(S, np.column_stack([g, depth]))
                 h = float(depth @ solved[:, 1] + (1.0 / std[k] ** 2).sum())
@@ -555,14 +558,15 @@ class ShapeFit:
             )
             both = np.concatenate([along, local[k, 2]])
             log_Z += _log_extent(float(np.ptp(both)), len(both)) - _log_extent(float(np.ptp(along)), len(along))
-            return log_Z - math.log(4.0 * math.pi) + 0.5 * math.log(2.0 * math.pi / h), angle
+            log_Z += math.log(0.5 * 0.5 ** len(k) + 0.25 * (abs(side.sum()) == len(k)))
+            return log_Z - math.log(2.0 * math.pi) + 0.5 * math.log(2.0 * math.pi / h), angle
 
         tried = set[bytes]()
         alone = [
-            (sheet(np.array([j]), math.atan2(local[j, 1], local[j, 0]), side), j, side)
-            for j in range(len(others)) for side in (-1.0, 1.0)
+            (sheet(np.array([j]), math.atan2(local[j, 1], local[j, 0])), j)
+            for j in range(len(others))
         ]  # fmt: skip
-        for (odds, angle), j, side in alone:
+        for (odds, angle), j in alone:
             if odds < 0.0:
                 continue
             inside = np.array([j])
@@ -570,12 +574,12 @@ class ShapeFit:
                 if inside.tobytes() not in tried:
                     tried.add(inside.tobytes())
                     d = E @ (math.cos(angle), math.sin(angle), 0.0)
-                    frame = np.column_stack([E[:, 2], d, side * np.cross(E[:, 2], d)])
-                    frame[:, 0] *= side
+                    side = math.copysign(1.0, float(of.force[inside].sum(axis=0) @ np.cross(E[:, 2], d)))
+                    frame = np.column_stack([side * E[:, 2], d, side * np.cross(E[:, 2], d)])
                     labels = edge.touches + tuple(of.labels[k] for k in inside)
                     yield Shape("plane", edge.p, frame, touches=labels, rim=edge.touches, odds=edge.odds + odds)
                 grown = [
-                    (sheet(np.append(inside, k), angle, side), k) for k in np.setdiff1d(np.arange(len(others)), inside)
+                    (sheet(np.append(inside, k), angle), k) for k in np.setdiff1d(np.arange(len(others)), inside)
                     if abs(angle - math.atan2(local[k, 1], local[k, 0])) < 0.5
                 ]  # fmt: skip
                 better = max(grown, key=lambda one: one[0][0], default=None)
@@ -623,7 +627,7 @@ def missing(touches: TouchSet, shapes: Sequence[Shape]) -> str:
 def _same_sheet(shape: Shape, sheet: Shape) -> bool:
     """Return whether a shape is a plane of the same edge and the same normal as a sheet, by a few degrees."""
     shared = set(shape.rim) & set(sheet.rim)
-    return len(shared) > 1 and float(shape.frame[:, 2] @ sheet.frame[:, 2]) > SAME_NORMAL
+    return len(shared) > 1 and abs(float(shape.frame[:, 2] @ sheet.frame[:, 2])) > SAME_NORMAL
 
 
 def _six(free: list[int], by: Array) -> Array:
