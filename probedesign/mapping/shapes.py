@@ -459,13 +459,14 @@ class ShapeFit:
             free = [shape for shape in every.values() if not shape.rim]
             edges = sorted((shape for shape in free if shape.kind == "edge"), key=lambda shape: shape.odds)
             best = {label: shape for shape in edges for label in shape.touches}
-            for edge in [*best.values(), *(shape for shape in chosen if shape.kind == "edge")]:
-                if edge.touches not in bounded:
+            pool = {shape.touches: shape for shape in [*best.values(), *self._packed(free)] if not shape.radius}
+            for edge in [*pool.values(), *chosen]:
+                if edge.kind == "edge" and edge.touches not in bounded:
                     bounded.add(edge.touches)
                     for more in self._sheets(edge):
                         add(more)
             sets = {(shape.kind, *shape.touches) for shape in every.values()}
-            for shape, other in product(free, chosen):
+            for shape, other in (*product(free, chosen), *product(pool.values(), pool.values())):
                 rest = tuple(label for label in shape.touches if label not in other.touches)
                 if KINDS[shape.kind].fewest <= len(rest) < len(shape.touches) and (shape.kind, *rest) not in sets:
                     sets.add((shape.kind, *rest))
