@@ -354,7 +354,7 @@ class ShapeFit:
     def fitted(self, seed: Shape, which: TouchSet, quick: bool = False) -> Shape | None:
         """Return the shape of a kind that fits touches best, with its covariance; None where they do not fix it.
 
-        A quick fit takes one or two steps.
+        A quick fit is one step of Gauss and Newton.
         """
         free, n, shape = list(KINDS[seed.kind].free), len(which), seed
         H = np.zeros((0, 0))
@@ -374,14 +374,18 @@ class ShapeFit:
                 J = W @ by_parameters(at, which.p).reshape(len(W), 6)
                 return np.concatenate([J, _turned(at, which, std)[1]])[:, free]
 
-            scale = np.array([1e-3] * 3 + [1e-3 / max(shape.radius, 0.02)] * 3)[free]
+            zero, scale = np.zeros(len(free)), np.array([1e-3] * 3 + [1e-3 / max(shape.radius, 0.02)] * 3)[free]
             try:
-                solved = least_squares(residuals, np.zeros(len(free)), derivative, x_scale=scale, ftol=1e-4,
-                                       method="lm", max_nfev=3 if quick else 12)  # fmt: skip
+                if quick:
+                    jac = derivative(zero)
+                    by = -scale * np.linalg.lstsq(jac * scale, residuals(zero), rcond=1e-9)[0]
+                else:
+                    solved = least_squares(residuals, zero, derivative, x_scale=scale, ftol=1e-4, method="lm",
+                                           max_nfev=12)  # fmt: skip
+                    jac, by = np.asarray(solved.jac), solved.x
             except (ValueError, np.linalg.LinAlgError):
                 return None
-            jac = np.asarray(solved.jac)
-            shape, H = start.moved(_six(free, solved.x)), jac.T @ jac
+            shape, H = start.moved(_six(free, by)), jac.T @ jac
             if shape.radius and not RADII[0] < shape.radius < RADII[1]:
                 return None
         if np.linalg.cond(H) > 1e14:
@@ -470,7 +474,7 @@ class ShapeFit:
                 rest = tuple(label for label in shape.touches if label not in other.touches)
                 if KINDS[shape.kind].fewest <= len(rest) < len(shape.touches) and (shape.kind, *rest) not in sets:
                     sets.add((shape.kind, *rest))
-                    add(self.fitted(shape, self.touches.subset(self._indices(rest))))
+                    add(self.fitted(shape, self.touches.subset(self._indices(rest)), quick=True))
         judged = (self.of_one(self._indices(shape.rim or shape.touches), rng) for shape in chosen)
         known = [shape for shape in judged if shape is not None and shape.odds >= MIN_ODDS]
         total, candidates = sum(shape.odds for shape in chosen), list(every.values())
@@ -596,7 +600,7 @@ class ShapeFit:
             order = i[np.argsort(places)]
             for k in range(fewest, len(order) - fewest + 1):
                 for part in (order[:k], order[k:]):
-                    fit = self.fitted(shape, self.touches.subset(np.sort(part)))
+                    fit = self.fitted(shape, self.touches.subset(np.sort(part)), quick=True)
                     if fit is not None:
                         yield fit
 
