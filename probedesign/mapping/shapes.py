@@ -13,7 +13,9 @@ The kind is chosen by the evidence, the integral of likelihood times prior by La
 A touched place is uniform over the extent of the shape, and the extent is log-uniform, so an edge that explains the
 touches of a line is more probable than a plane through them. Without a shape, points are uniform in the workspace and
 forces have any direction. A straight probe touches a plane with its tip, so a contact away from the tip is on no plane,
-unless it is on the edge that bounds the plane.
+unless it is on the edge that bounds the plane. An edge bounds a half-plane that turns about it by one angle; touches
+of its face lie behind the edge, uniform in a depth that is log-uniform too, and those of the edge have normals away
+from it. A plane that another choice of shapes explains nearly as well is not reported.
 
 Source: P. H. S. Torr and A. Zisserman, MLESAC, Computer Vision and Image Understanding 78 (2000); D. J. C. MacKay,
 Bayesian interpolation, Neural Computation 4 (1992), for the evidence.
@@ -306,7 +308,7 @@ class ShapeFit:
         if shape.kind == "edge":
             w = shape.frame[:, 2]
             along = -0.5 * (np.arcsin(np.clip(f @ w, -1.0, 1.0)) / std) ** 2 - np.log(math.sqrt(2.0 * math.pi) * std)
-            across = np.cross(np.nan_to_num(which.tangent), w)
+            across = _cross(np.nan_to_num(which.tangent), w)
             length, flat = np.linalg.norm(across, axis=1), f - np.outer(f @ w, w)
             aligned = np.abs((flat * across).sum(axis=1))  # the normal of an edge is perpendicular to the probe as well
             aligned /= np.maximum(length * np.linalg.norm(flat, axis=1), 1e-9)
@@ -405,7 +407,7 @@ class ShapeFit:
             u = np.linalg.svd(flat)[2][0]
             u = u - (u @ F[:, 2]) * F[:, 2]
             u = u / np.linalg.norm(u)
-            F, p = np.column_stack([u, np.cross(F[:, 2], u), F[:, 2]]), middle - ((middle - p) @ F[:, 2]) * F[:, 2]
+            F, p = np.column_stack([u, _cross(F[:, 2], u), F[:, 2]]), middle - ((middle - p) @ F[:, 2]) * F[:, 2]
         elif shape.kind in ("edge", "cylinder"):
             p = p + ((middle - p) @ F[:, 2]) * F[:, 2]
         elif shape.kind in ("corner", "tip"):
@@ -457,39 +459,43 @@ class ShapeFit:
             before, chosen = chosen, self._packed(list(every.values()))
             if before and all(former is shape for former, shape in zip(before, chosen, strict=False)):
                 break
-            for shape in [shape for shape in chosen if not shape.rim]:
-                for more in self._parts(shape):
-                    add(more)
+            for part in (part for shape in chosen if not shape.rim for part in self._parts(shape)):
+                add(part)
             free = [shape for shape in every.values() if not shape.rim]
-            edges = sorted((shape for shape in free if shape.kind == "edge"), key=lambda shape: shape.odds)
-            best = {label: shape for shape in edges for label in shape.touches}
-            pool = {shape.touches: shape for shape in [*best.values(), *self._packed(free)] if not shape.radius}
-            for edge in [*pool.values(), *chosen]:
-                if edge.kind == "edge" and edge.touches not in bounded:
-                    bounded.add(edge.touches)
-                    for more in self._sheets(edge):
-                        add(more)
+            # The best edge of each touch, and those that are chosen without the planes that they bound.
+            best = {label: shape for shape in sorted(free, key=lambda shape: shape.odds) if shape.kind == "edge"
+                    for label in shape.touches}  # fmt: skip
+            pool = [*best.values(), *(shape for shape in self._packed(free) if shape.kind == "edge")]
+            for edge in [*pool, *(shape for shape in chosen if shape.kind == "edge")]:
+                for more in self._sheets(edge) if edge.touches not in bounded else ():
+                    add(more)
+                bounded.add(edge.touches)
             sets = {(shape.kind, *shape.touches) for shape in every.values()}
-            for shape, other in (*product(free, chosen), *product(pool.values(), pool.values())):
+            for shape, other in (*product(free, chosen), *product(pool, pool)):
                 rest = tuple(label for label in shape.touches if label not in other.touches)
                 if KINDS[shape.kind].fewest <= len(rest) < len(shape.touches) and (shape.kind, *rest) not in sets:
                     sets.add((shape.kind, *rest))
                     add(self.fitted(shape, self.touches.subset(self._indices(rest)), quick=True))
         judged = (self.of_one(self._indices(shape.rim or shape.touches), rng) for shape in chosen)
         known = [shape for shape in judged if shape is not None and shape.odds >= MIN_ODDS]
-        total, candidates = sum(shape.odds for shape in chosen), list(every.values())
+        return sorted([*known, *self._sure_sheets(chosen, list(every.values()))], key=lambda shape: -shape.odds)
+
+    def _sure_sheets(self, chosen: list[Shape], candidates: list[Shape]) -> Iterator[Shape]:
+        """Yield the chosen planes that edges bound, fitted, without those that another choice explains nearly as well.
+
+        The probability of a plane follows from the largest sum of odds of candidates among which it is not.
+        """
+        total = sum(shape.odds for shape in chosen)
         for sheet in [shape for shape in chosen if shape.rim]:
             rivals = [shape for shape in candidates if not _same_sheet(shape, sheet)]
             margin = total - sum(shape.odds for shape in self._packed(rivals))
-            which = self._indices(sheet.touches)
-            touches = self.touches.without_forces(np.isin(self.touches.labels, sheet.rim)).subset(which)
+            touches = self.touches.without_forces(np.isin(self.touches.labels, sheet.rim))
             side = np.where(touches.force @ sheet.frame[:, 2] < 0.0, -1.0, 1.0)  # a thin body is touched on both sides
-            touches = replace(touches, force=side[:, None] * touches.force)
+            touches = replace(touches, force=side[:, None] * touches.force).subset(self._indices(sheet.touches))
             fit = self.fitted(sheet, touches) if margin >= MIN_ODDS else None
             if fit is not None:
                 sure = {"plane": 1.0 / (1.0 + math.exp(-margin))}
-                known.append(replace(fit, rim=sheet.rim, odds=sheet.odds, probabilities=sure))
-        return sorted(known, key=lambda shape: -shape.odds)
+                yield replace(fit, rim=sheet.rim, odds=sheet.odds, probabilities=sure)
 
     def _grown(self, kind: str, rng: np.random.Generator) -> Iterator[Shape]:
         """Yield shapes of a kind to which the touch that agrees best is added, one after the other."""
@@ -514,7 +520,10 @@ class ShapeFit:
         """Return the shapes without a common touch whose sum of odds is largest, the most certain first."""
         if not shapes:
             return []
-        uses = np.array([np.isin(self.touches.labels, shape.touches) for shape in shapes], dtype=float).T
+        rows = {label: i for i, label in enumerate(self.touches.labels)}
+        uses = np.zeros((len(rows), len(shapes)))
+        for j, shape in enumerate(shapes):
+            uses[[rows[label] for label in shape.touches], j] = 1.0
         packed = milp([-shape.odds for shape in shapes], integrality=np.ones(len(shapes), dtype=int),
                       bounds=Bounds(0.0, 1.0), constraints=LinearConstraint(uses, ub=np.ones(len(uses))))  # fmt: skip
         chosen = [shape for shape, share in zip(shapes, np.asarray(packed.x), strict=True) if share > 0.5]
@@ -536,14 +545,16 @@ class ShapeFit:
         std, tip, without = self._std(edge, of), _log_tip_contact(of), _log_without(of)
         std_edge, f_edge, f = self._std(edge, self.touches.subset(i)), edge.forces @ E, of.force @ E
         cov = np.einsum("xa,ixjy,yb->iajb", E, of.cov, E)
+        own = np.einsum("iaib->iab", cov)
 
-        def sheet(k: NDArray[np.intp], angle: float) -> tuple[float, float]:
-            """Return the logarithm of the odds of a sheet against separate touches of the face, and its angle."""
-            for _ in range(3):
+        def sheet(k: NDArray[np.intp], angle: float) -> tuple[float, float, float]:
+            """Return the log odds of a sheet against separate touches of the face, its angle and the variance of it."""
+            C = cov[k[:, None], :, k[None]]
+            for _ in range(2):
                 d = np.array([math.cos(angle), math.sin(angle), 0.0])
                 n = np.array([-d[1], d[0], 0.0])
                 g, depth, N = local[k] @ n, local[k] @ d, J[k].transpose(0, 2, 1) @ n
-                S = n @ cov[np.ix_(k, range(3), k, range(3))].transpose(0, 2, 1, 3) @ n + N @ edge.cov @ N.T
+                S = C @ n @ n + N @ edge.cov @ N.T
                 side = np.where(f[k] @ n < 0.0, -1.0, 1.0)
                 turn = np.arctan2(side * (f[k] @ -d), side * (f[k] @ n))
                 solved = np.linalg.solve(S, np.column_stack([g, depth]))
@@ -552,45 +563,46 @@ class ShapeFit:
                 angle += by
             chi2 = float(g @ solved[:, 0])
             if chi2 > statistics.max_chi2(len(k), MISSED):
-                return -math.inf, angle
+                return -math.inf, angle, 1.0 / h
             off = np.arccos(np.clip(side * (f[k] @ n), -1.0, 1.0)) / std[k]
             log_Z = -0.5 * chi2 - 0.5 * float(np.linalg.slogdet(2.0 * math.pi * S)[1])
             log_Z += float((tip[k] - 0.5 * off**2 - np.log(2.0 * math.pi * std[k] ** 2) - without[k]).sum())
             log_Z += float((math.log(2.0) + log_ndtr(-np.arcsin(np.clip(f_edge @ d, -1.0, 1.0)) / std_edge)).sum())
-            log_Z += float(log_ndtr(depth / np.sqrt(np.einsum("a,iaib,b->i", d, cov[k][:, :, k], d))).sum())
+            log_Z += float(log_ndtr(depth / np.sqrt((C @ d @ d).diagonal())).sum())
             log_Z -= len(k) * math.log(max(depth.max(), EXTENTS[0])) + math.log(
                 len(k) * math.log(EXTENTS[1] / EXTENTS[0])
             )
             both = np.concatenate([along, local[k, 2]])
             log_Z += _log_extent(float(np.ptp(both)), len(both)) - _log_extent(float(np.ptp(along)), len(along))
             log_Z += math.log(0.5 * 0.5 ** len(k) + 0.25 * (abs(side.sum()) == len(k)))
-            return log_Z - math.log(2.0 * math.pi) + 0.5 * math.log(2.0 * math.pi / h), angle
+            return log_Z - math.log(2.0 * math.pi) + 0.5 * math.log(2.0 * math.pi / h), angle, 1.0 / h
 
         tried = set[bytes]()
-        alone = [
-            (sheet(np.array([j]), math.atan2(local[j, 1], local[j, 0])), j)
-            for j in range(len(others))
-        ]  # fmt: skip
-        for (odds, angle), j in alone:
+        of_face = np.flatnonzero(tip >= 0.0)
+        alone = [(sheet(np.array([j]), math.atan2(local[j, 1], local[j, 0])), j) for j in of_face]
+        for (odds, angle, variance), j in alone:
             if odds < 0.0:
                 continue
             inside = np.array([j])
             while True:
+                d = np.array([math.cos(angle), math.sin(angle), 0.0])
+                n = np.array([-d[1], d[0], 0.0])
                 if inside.tobytes() not in tried:
                     tried.add(inside.tobytes())
-                    d = E @ (math.cos(angle), math.sin(angle), 0.0)
-                    side = math.copysign(1.0, float(of.force[inside].sum(axis=0) @ np.cross(E[:, 2], d)))
-                    frame = np.column_stack([side * E[:, 2], d, side * np.cross(E[:, 2], d)])
+                    side = math.copysign(1.0, float(f[inside].sum(axis=0) @ n))
+                    frame = E @ np.column_stack([(0.0, 0.0, side), d, side * n])
                     labels = edge.touches + tuple(of.labels[k] for k in inside)
                     yield Shape("plane", edge.p, frame, touches=labels, rim=edge.touches, odds=edge.odds + odds)
+                N, depth = J.transpose(0, 2, 1) @ n, local @ d
+                std_g = np.sqrt(n @ own @ n + ((N @ edge.cov) * N).sum(axis=1) + depth**2 * variance)
+                near = (np.abs(local @ n) < 4.0 * std_g) & (depth > -3.0 * np.sqrt(d @ own @ d))
                 grown = [
-                    (sheet(np.append(inside, k), angle), k) for k in np.setdiff1d(np.arange(len(others)), inside)
-                    if abs(angle - math.atan2(local[k, 1], local[k, 0])) < 0.5
+                    (sheet(np.append(inside, k), angle), k) for k in of_face if near[k] and k not in inside
                 ]  # fmt: skip
                 better = max(grown, key=lambda one: one[0][0], default=None)
                 if better is None or better[0][0] < odds:
                     break
-                (odds, angle), k = better
+                (odds, angle, variance), k = better
                 inside = np.sort(np.append(inside, k))
 
     def _parts(self, shape: Shape) -> Iterator[Shape]:
@@ -655,18 +667,18 @@ def _turned(shape: Shape, which: TouchSet, std: Array) -> tuple[Array, Array]:
         J[:, 3], J[:, 4] = -f @ F[:, 1], f @ F[:, 0]
         return np.arcsin(sine) / std, J / (std * np.sqrt(np.maximum(1.0 - sine**2, 1e-6)))[:, None]
     n = shape.normals(which.p)
-    axis = np.cross(f, n)
+    axis = _cross(f, n)
     sine, cosine = np.linalg.norm(axis, axis=1), np.einsum("na,na->n", f, n)
     turned = axis * (np.arctan2(sine, cosine) / np.maximum(sine, 1e-12) / std)[:, None]
     by = np.zeros((len(f), 3, 6))  # of the normal; the residual follows its rotation
-    by[:, :, 3:5] = -np.cross(n[:, None], F[:, :2].T).transpose(0, 2, 1)
+    by[:, :, 3:5] = -_cross(n[:, None], F[:, :2].T).transpose(0, 2, 1)
     if shape.radius:
         flat = np.eye(3) - np.einsum("na,nb->nab", n, n)
         if shape.kind == "cylinder":
             flat = flat - np.outer(F[:, 2], F[:, 2])
         by += flat @ F @ _local_by_parameters(shape, which.p) / shape.radius
     known = np.linalg.norm(f, axis=1) / std
-    by = np.cross(n[:, None], by.transpose(0, 2, 1)).transpose(0, 2, 1) * known[:, None, None]
+    by = _cross(n[:, None], by.transpose(0, 2, 1)).transpose(0, 2, 1) * known[:, None, None]
     return turned.ravel(), by.reshape(-1, 6)
 
 
@@ -692,12 +704,17 @@ def _log_extent(range_: float, n: int) -> float:
     return (1 - n) * math.log(range_) - math.log(n * (n - 1) * WORKSPACE * math.log(EXTENTS[1] / EXTENTS[0]))
 
 
+def _cross(a: Array, b: Array) -> Array:
+    """Return a × b of vectors (..., 3), faster than `numpy.cross` for few of them."""
+    return np.asarray(a[..., [1, 2, 0]] * b[..., [2, 0, 1]] - a[..., [2, 0, 1]] * b[..., [1, 2, 0]])
+
+
 def _frame(w: Array) -> Array:
     """Return a rotation whose third column is along a vector, (3, 3)."""
     w = w / max(float(np.linalg.norm(w)), 1e-12)
-    u = np.cross(w, np.eye(3)[np.argmin(np.abs(w))])
+    u = _cross(w, np.eye(3)[np.argmin(np.abs(w))])
     u = u / np.linalg.norm(u)
-    return np.column_stack([u, np.cross(w, u), w])
+    return np.column_stack([u, _cross(w, u), w])
 
 
 def _seeds(kind: str, which: TouchSet, rng: np.random.Generator) -> Iterator[tuple[list[int], Shape]]:

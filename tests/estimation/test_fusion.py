@@ -395,6 +395,18 @@ def test_an_offset_of_the_base_is_within_what_is_stated(rig, large, gravity, exa
     assert np.mean(squares) < 3.0 + 3.0 * math.sqrt(6.0 / draws)
 
 
+def test_touches_of_the_tip_are_located_though_noise_places_them_beyond_it(large, gravity, exact_sources):
+    rng, draws, squares = np.random.default_rng(6), 20, []
+    estimator = Estimator(large.model, replace(EXACT, youngs_modulus=0.03, base_mm=0.083, drift_steps=0.5))
+    touches, Ts = presses(exact_sources, large.rod.flank_end, 1.57, np.linspace(1e-3, 4.5e-3, 5))
+    for _ in range(draws):
+        c = estimator.fuse(noisy(large.model, wrenches_of(touches), rng), Ts, gravity)
+        assert c.ok
+        squares.append(c.p_surface_world @ np.linalg.solve(c.cov_surface_world, c.p_surface_world))
+    # Stiffness and base have no errors here, so that the mean is that of χ² with three degrees of freedom at most.
+    assert np.mean(squares) < 3.0 + 3.0 * math.sqrt(6.0 / draws)
+
+
 @pytest.mark.parametrize("friction", [0.6, math.inf])
 def test_readings_of_one_pose_are_one_window(friction, large, gravity, exact, pressed):
     """The priors of friction and stiffness of a touch enter once for any number of readings."""

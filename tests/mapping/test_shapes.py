@@ -60,13 +60,16 @@ def test_too_few_touches_are_no_shape(n):
     assert "a plane 3, an edge 3" in missing(touches, [])
 
 
-def test_an_edge_bounds_the_plane_of_two_touches_of_the_face_behind_it():
+@pytest.mark.parametrize("sides", [(1.0, 1.0), (1.0, -1.0)])
+def test_an_edge_bounds_the_plane_of_two_touches_of_the_sheet_behind_it(sides):
     rng, n, std = np.random.default_rng(7), 6, 0.3e-3
     p = np.array([(0, 0, 10), (0, 0, 30), (0, 0, 55), (0, 0, 75), (0, 20, 25), (0, 55, 60)]) * 1e-3
     c, s = np.cos(np.radians(45.0)), np.sin(np.radians(12.0))
-    sides = [(c, c, 0.0), (-c, c, 0.0)] * 2  # directions of the probe at the edge, which lies along z
-    tangent = np.array([*sides, *[(-s, np.cos(np.radians(12.0)), 0.0)] * 2])
-    force = np.array([*[(b - 2.0 * c * (a > 0.0), -c, 0.0) for a, b, _ in sides], *[(1.0, 0.0, 0.0)] * 2])
+    probe = [(c, c, 0.0), (-c, c, 0.0)] * 2  # directions of the probe at the edge, which lies along z
+    tangent = np.array([*probe, *[(-s * side, np.cos(np.radians(12.0)), 0.0) for side in sides]])
+    force = np.array(
+        [*[(b - 2.0 * c * (a > 0.0), -c, 0.0) for a, b, _ in probe], *[(side, 0.0, 0.0) for side in sides]]
+    )
     cov = np.einsum("ij,ab->iajb", np.eye(n), std**2 * np.eye(3))
     beyond = np.array([0.01] * 4 + [0.0] * 2)
     labels = tuple(str(i) for i in range(1, n + 1))
