@@ -304,7 +304,7 @@ def _understood(
                               "touches": at.touches, "left_out": at.left_out}  # fmt: skip
     if options.suggest:
         try:
-            best = _suggested(options, explorations, shapes, known)
+            best = _suggested(options, explorations, shapes, known, cloud.std_object_compliance)
             document["suggestion"], lines, ghost = best.document, [*lines, *best.lines], best.axis_world
             rod = explorations[best.probe or next(iter(explorations))].estimator.model.rod
             radius = [float(rod.radius_at(s)) for s in np.linspace(0.0, rod.length, len(ghost))]
@@ -323,6 +323,7 @@ def _suggested(
     explorations: "Mapping[str, Exploration]",
     shapes: "list[Shape]",
     known: "tuple[KnownObject, ObjectPose] | None",
+    std_compliance: float,
 ) -> "Suggestion":
     """Return the next touch, by the probe that improves the goal most.
 
@@ -338,7 +339,7 @@ def _suggested(
             continue
         try:
             proposal = suggest(exploration.estimator, np.array(poses), exploration.gravity_world, options.goal, shapes,
-                               known, 1e-3 * options.force_limit_mN)  # fmt: skip
+                               known, 1e-3 * options.force_limit_mN, std_compliance)  # fmt: skip
         except InputError as error:
             problem = error
             continue

@@ -374,7 +374,8 @@ class SuggestionOptions:
     suggest: bool = False
     """Print the touch that is expected to improve the goal most, with the pose of the base."""
     goal: str = "shapes"
-    """shapes (the one that is known worst), extent (of an edge or another shape) or pose (of --object)."""
+    """shapes (the one that is known worst), extent (of an edge or another shape), pose (of --object) or stiffness (of
+    --one-object)."""
     force_limit_mN: Annotated[float, Parameter(name="--force-limit-mN")] = 4.0
     """Largest force on the object [mN]; less where an object as soft as the design's prior would yield by 2 mm."""
     object: Path | None = None

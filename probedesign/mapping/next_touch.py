@@ -35,7 +35,7 @@ from probedesign.prediction.fused import LinearizedPresses, PressSchedule
 from probedesign.prediction.touches import SurfaceRod
 from probedesign.rod.kernels.surface_contact import DEAD, POINT, VALUE
 
-GOALS = ("shapes", "extent", "pose")
+GOALS = ("shapes", "extent", "pose", "stiffness")
 FRACTIONS = (0.6, 0.75, 0.9, 0.98)  #: Places on the probe, as fractions of its length; the last is its tip.
 DIRECTIONS = 12  #: Number of directions around the probe in which it is pressed.
 N_PRESSES = 3  #: Light and firm presses of a touch, as docs/exploring.md states.
@@ -64,6 +64,7 @@ class Press(NamedTuple):
     light: Array  #: how far the touched point moves under the light press [m], (3,).
     firm: Array  #: the same of the firm one [m], (3,).
     cov: Array  #: covariance of the located point [m²], (3, 3).
+    on_compliance: float  #: information of the touch on the compliance of the object [N²/m²].
 
 
 class PlaceToTouch(NamedTuple):
@@ -81,8 +82,8 @@ class Suggestion:
     """The next touch."""
 
     goal: str  #: what it improves.
-    before: float  #: standard deviation of the goal [m].
-    after: float  #: expected after the touch [m].
+    before: float  #: standard deviation of the goal, in `unit`.
+    after: float  #: expected after the touch.
     x: Array  #: the place to touch in the world [m], (3,).
     normal: Array  #: outward normal there; the base moves against it, (3,).
     s: float  #: arclength of the contact on the probe [m].
@@ -91,6 +92,7 @@ class Suggestion:
     cov: Array  #: expected covariance of the located point in the world [m²], (3, 3).
     axis_world: Array  #: axis of the free probe at first contact, from base to tip [m], (k, 3).
     probe: str = ""  #: name of the probe.
+    unit: str = "mm"  #: of the goal.
 
     @property
     def error(self) -> float:
@@ -112,7 +114,7 @@ class Suggestion:
             f"up to {self.force / MILLINEWTON:.1f} mN",
             f"  base at first contact ({_numbers(base)}) mm, quaternion ({_numbers(q, 4)}), "
             f"{self.depth / MM:.2f} mm further for the firm press",
-            f"  why: {self.goal} ± {self.before / MM:.2g} mm becomes ± {self.after / MM:.2g} mm; "
+            f"  why: {self.goal} ± {self.before:.2g} {self.unit} becomes ± {self.after:.2g} {self.unit}; "
             f"the point is expected to ± {self.error / MM:.2g} mm",
         ]  # fmt: skip
 
@@ -120,7 +122,8 @@ class Suggestion:
     def document(self) -> dict[str, Any]:
         """Return the suggestion for a JSON document."""
         return {
-            "goal": self.goal, "std_mm": self.before / MM, "expected_std_mm": self.after / MM,
+            "goal": self.goal, f"std_{(unit := self.unit.replace('/', '_'))}": self.before,
+            f"expected_std_{unit}": self.after,
             "p_world_mm": (self.x / MM).tolist(), "normal_world": self.normal.tolist(), "s_mm": self.s / MM,
             "force_mN": self.force / MILLINEWTON, "depth_mm": self.depth / MM, "expected_error_mm": self.error / MM,
             "T_world_base": {name: T.tolist() for name, T in zip(("contact", "light", "firm"), self.Ts_world_base,
@@ -162,7 +165,10 @@ def presses_of(estimator: Estimator, gravity_base: Array, force: float) -> list[
             if fused.converged:
                 direction = light[DEAD : DEAD + 3] / np.linalg.norm(light[DEAD : DEAD + 3])
                 tangent = free.R_at(min(s, model.rod.length))[:, 2]
-                presses.append(Press(float(s), direction, tangent, start, by_light, by_firm, fused.cov()))
+                cov, prior = fused.cov(), float(fused.state.compliance[2])
+                known = 1.0 / max(float(fused.state.cov[3, 3]), 1e-12) - 1.0
+                presses.append(Press(float(s), direction, tangent, start, by_light, by_firm, cov,
+                                     known / prior**2 if prior > 0.0 else 0.0))  # fmt: skip
     return presses
 
 
@@ -214,6 +220,7 @@ def suggest(
     shapes: Sequence[Shape],
     known: tuple[KnownObject, ObjectPose] | None = None,
     force_limit: float = 4.0 * MILLINEWTON,
+    std_compliance: float = math.nan,
 ) -> Suggestion:
     """Return the touch with the largest expected reduction of the goal's variance.
 
@@ -221,10 +228,12 @@ def suggest(
         estimator: of the probe.
         Ts_world_base: poses of the base in the run, (k, 4, 4).
         gravity_world: gravity in the world [m/s²], (3,).
-        goal: one of `GOALS`: the shape that is known worst, its extent, or the pose of the known object.
+        goal: one of `GOALS`: the shape that is known worst, its extent, the pose of the known object, or the compliance
+            of the one object of all touches, on any of its shapes or on the known object.
         shapes: of the map.
         known: a known object and its pose so far; for the goal "pose".
         force_limit: largest force on the object [N].
+        std_compliance: standard deviation of the compliance by all touches [m/N]; for the goal "stiffness".
 
     Raises:
         InputError: there is nothing to improve, or no reachable touch improves it.
@@ -232,6 +241,59 @@ def suggest(
     R0 = Rotation.from_matrix(Ts_world_base[:, :3, :3]).mean().as_matrix()
     force = firm_force(force_limit, estimator.priors)
     presses = presses_of(estimator, R0.T @ gravity_world, force)
+    sought = (_stiffness(shapes, known, presses, std_compliance) if goal == "stiffness"
+              else _pose_or_shape(goal, shapes, known))  # fmt: skip
+    name, before, candidates, gains = sought.name, sought.before, sought.candidates, sought.gains
+    best: tuple[float, PlaceToTouch, Press, Array] | None = None
+    for i in np.argsort(gains)[::-1]:
+        if best is not None and gains[i] <= best[0]:
+            break  # without any error of the touch it would reduce the variance by less
+        for press, T in reachable(candidates[i], presses, R0, Ts_world_base, known):
+            Sigma = T[:3, :3] @ press.cov @ T[:3, :3].T
+            gain = gains[i]
+            if goal == "stiffness":
+                gain = before**2 - 1.0 / (1.0 / before**2 + press.on_compliance)
+            elif goal != "extent":
+                gain = before**2 - _left(sought.P, sought.A, candidates[i], Sigma)
+            gain -= 1e-6 * float(np.trace(Sigma))  # among equal ones the most accurate
+            if best is None or gain > best[0]:
+                best = gain, candidates[i], press, T
+    if best is None or best[0] < (1.0 - (1.0 - MIN_GAIN) ** 2) * before**2:
+        raise InputError(f"no touch that the base reaches improves the {name} by more than {100 * MIN_GAIN:g} %")
+    gain, candidate, press, T = best
+    Ts = np.array([pose(T[:3, :3], T[:3, 3] - T[:3, :3] @ by) for by in (np.zeros(3), press.light, press.firm)])
+    after, cov = math.sqrt(max(before**2 - gain, 0.0)), T[:3, :3] @ press.cov @ T[:3, :3].T
+    probe = estimator.free(R0.T @ gravity_world)
+    axis = np.array([probe.p_at(s) for s in np.linspace(0.0, estimator.model.rod.length, 15)]) @ T[:3, :3].T + T[:3, 3]
+    unit, scale = ("m/N", 1.0) if goal == "stiffness" else ("mm", MM)
+    return Suggestion(name, before / scale, after / scale, candidate.x, candidate.normal, press.s, force, Ts, cov, axis,
+                      unit=unit)  # fmt: skip
+
+
+class _Sought(NamedTuple):
+    """What a touch is to improve."""
+
+    name: str
+    before: float  #: standard deviation of the goal.
+    candidates: list[PlaceToTouch]
+    gains: list[float]  #: largest reduction of its square by each candidate.
+    P: Array = np.zeros((0, 0))  #: covariance of the parameters of a shape or a pose.
+    A: Array = np.zeros((0, 0))  #: derivative of the goal by them.
+
+
+def _stiffness(
+    shapes: Sequence[Shape], known: tuple[KnownObject, ObjectPose] | None, presses: Sequence[Press], std: float
+) -> _Sought:
+    """Return the compliance of one object, with its standard deviation [m/N]; the presses tell its places apart."""
+    if not std > 0.0:
+        raise InputError("--goal stiffness needs --one-object and a design that states how far objects yield")
+    places = list(of_object(*known)) if known is not None else [place for shape in shapes for place in of_shape(shape)]
+    most = std**2 - 1.0 / (1.0 / std**2 + max((press.on_compliance for press in presses), default=0.0))
+    return _Sought("compliance of the object", std, places, [(1.0 - MIN_GAIN) * most] * len(places))
+
+
+def _pose_or_shape(goal: str, shapes: Sequence[Shape], known: tuple[KnownObject, ObjectPose] | None) -> _Sought:
+    """Return the pose of the known object, the shape that is known worst, or the widest extent."""
     if goal == "pose":
         if known is None:
             raise InputError("--goal pose needs the object: --object MESH with --object-at")
@@ -246,29 +308,11 @@ def suggest(
         P, A = shape.cov[np.ix_(free, free)], by_parameters(shape, shape.ends)[:, :, free].reshape(-1, len(free))
         A = A / math.sqrt(len(shape.ends))
         candidates, name = list(of_shape(shape)), f"{shape.kind} of touches {' '.join(shape.touches)}"
+        if goal == "extent":
+            gains = [_extent_gain(shape, candidate.x) for candidate in candidates]
+            return _Sought(f"extent of the {name}", _extent_std(shape)[0], candidates, gains)
     before = math.sqrt(float(np.trace(A @ P @ A.T)))
-    gains = [before**2 - _left(P, A, candidate) for candidate in candidates] if goal != "extent" else []
-    if goal == "extent":
-        before, gains = _extent_std(shape)[0], [_extent_gain(shape, candidate.x) for candidate in candidates]
-        name = f"extent of the {name}"
-    best: tuple[float, PlaceToTouch, Press, Array] | None = None
-    for i in np.argsort(gains)[::-1]:
-        if best is not None and gains[i] <= best[0]:
-            break  # without any error of the touch it would reduce the variance by less
-        for press, T in reachable(candidates[i], presses, R0, Ts_world_base, known):
-            Sigma = T[:3, :3] @ press.cov @ T[:3, :3].T
-            gain = gains[i] if goal == "extent" else before**2 - _left(P, A, candidates[i], Sigma)
-            gain -= 1e-6 * float(np.trace(Sigma))  # among equal ones the most accurate
-            if best is None or gain > best[0]:
-                best = gain, candidates[i], press, T
-    if best is None or best[0] < (1.0 - (1.0 - MIN_GAIN) ** 2) * before**2:
-        raise InputError(f"no touch that the base reaches improves the {name} by more than {100 * MIN_GAIN:g} %")
-    gain, candidate, press, T = best
-    Ts = np.array([pose(T[:3, :3], T[:3, 3] - T[:3, :3] @ by) for by in (np.zeros(3), press.light, press.firm)])
-    after, cov = math.sqrt(max(before**2 - gain, 0.0)), T[:3, :3] @ press.cov @ T[:3, :3].T
-    probe = estimator.free(R0.T @ gravity_world)
-    axis = np.array([probe.p_at(s) for s in np.linspace(0.0, estimator.model.rod.length, 15)]) @ T[:3, :3].T + T[:3, 3]
-    return Suggestion(name, before, after, candidate.x, candidate.normal, press.s, force, Ts, cov, axis)
+    return _Sought(name, before, candidates, [before**2 - _left(P, A, each) for each in candidates], P, A)
 
 
 def _left(P: Array, A: Array, candidate: PlaceToTouch, Sigma: Array | None = None) -> float:

@@ -86,6 +86,18 @@ def test_the_force_stays_small_on_an_object_that_may_be_soft(estimator, box):
     assert best.force * 2.0 * estimator.priors.object_compliance <= MAX_YIELD * (1.0 + 1e-9)
 
 
+def test_the_stiffness_is_told_best_by_the_part_of_the_probe_that_bends_least(estimator):
+    """The compliance is what a press moves beyond the bending of the probe, which is least near the base."""
+    rng = np.random.default_rng(8)
+    touches, _ = draw_touches(object_of("edge", rng), 8, rng)
+    edge = replace(ShapeFit(touches).best_of("edge", touches, rng), p=np.zeros(3))
+    best = suggestion(estimator, "stiffness", [edge], force_limit=0.02, std_compliance=0.03)
+    assert best.unit == "m/N" and best.before == 0.03 and best.after < 0.9 * best.before
+    assert best.s < 0.7 * estimator.model.rod.length
+    with pytest.raises(InputError, match="needs --one-object"):
+        suggestion(estimator, "stiffness", [edge])
+
+
 def test_the_extent_of_an_edge_is_sought_beyond_its_ends(estimator):
     rng = np.random.default_rng(8)
     touches, _ = draw_touches(object_of("edge", rng), 8, rng)
