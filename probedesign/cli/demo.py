@@ -36,7 +36,7 @@ SECTIONS = {
     "explore": ("A card house, found by touch",
                 "probedesign explore {folder}/demo.probe.json --rehearse {folder}/rehearsal"),
 }  # fmt: skip
-#: Time without contact at the start of a rehearsal, and samples of one reading, as in docs/exploring.md.
+#: Time without contact at the start of a rehearsal, as in docs/exploring.md, and samples of one reading: 49 a second.
 TARE, AVERAGE = "0.5:3.5", 72
 #: Simulated contact: 20 mN, swept along the probe and back, with the sensor's noise.
 TOUCH = "force_mN=20&seconds=20&rate_hz=10&speed=max"
