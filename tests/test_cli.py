@@ -25,38 +25,19 @@ NEW = ("new", "--length", "150", "--base-d", "12")
 REMEDY = "set PROBEDESIGN_DEBUG=1 for a traceback)"
 
 
-def command(*arguments: str, cwd: Path, **environment: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", "probedesign.cli.main", *arguments],
-        cwd=cwd,
-        env={**os.environ, **environment},
-        capture_output=True,
-        text=True,
-        timeout=120,
-    )
-
-
-def assert_refused(stdout: str, stderr: str, status: int) -> None:
-    """Assert exit status 2, one line on stderr and nothing on stdout."""
-    assert status == 2
-    assert stdout == ""
-    assert stderr.startswith("probedesign: error: ") and stderr.count("\n") == 1
-    assert "Traceback" not in stderr
-
-
 def refused(capsys, *arguments: str) -> str:
-    """Return the error line of a command that is refused in this process."""
+    """Return the error line of a command that is refused: exit status 2 and nothing on stdout."""
     capsys.readouterr()
     status = run([*arguments])
-    captured = capsys.readouterr()
-    assert_refused(captured.out, captured.err, status)
-    return captured.err
+    out, err = capsys.readouterr()
+    assert (status, out) == (2, "") and err.startswith("probedesign: error: ") and err.count("\n") == 1
+    return err
 
 
 # In a process of its own
 
 
-def test_help_lists_every_command_and_loads_nothing_heavy(tmp_path):
+def test_help_lists_every_command_and_loads_nothing_heavy():
     code = (
         "import sys; from probedesign.cli.main import run; status = run(['--help']);"
         "heavy = {'numpy', 'numba', 'scipy', 'matplotlib', 'cadquery', 'pydantic'} & set(sys.modules);"
@@ -79,14 +60,14 @@ def test_invalid_command_line_is_one_line_and_status_2(tmp_path, monkeypatch, ca
     assert list(tmp_path.iterdir()) == []
 
 
-def test_debug_variable_adds_the_traceback(tmp_path):
-    result = command("nwe", cwd=tmp_path, PROBEDESIGN_DEBUG="1")
-    assert result.returncode == 2
-    assert "Traceback" in result.stderr
-    assert result.stderr.splitlines()[-1].startswith("probedesign: error: ")
+def test_debug_variable_adds_the_traceback(monkeypatch, capsys):
+    monkeypatch.setenv(main.DEBUG, "1")
+    assert run(["nwe"]) == 2
+    err = capsys.readouterr().err
+    assert "Traceback" in err and err.splitlines()[-1].startswith("probedesign: error: ")
 
 
-def test_closed_output_pipe_is_status_1_without_a_message(tmp_path):
+def test_closed_output_pipe_is_status_1_without_a_message():
     read_end, write_end = os.pipe()
     os.close(read_end)
     with os.fdopen(write_end) as closed:
@@ -97,13 +78,13 @@ def test_closed_output_pipe_is_status_1_without_a_message(tmp_path):
     assert (result.returncode, result.stderr) == (1, "")
 
 
-def test_a_closed_standard_output_is_no_failure(tmp_path):
+def test_a_closed_standard_output_is_no_failure():
     code = "import sys; from probedesign.cli.main import run; sys.exit(run(['doctor']))"
     closed = subprocess.run(["sh", "-c", '"$0" -c "$1" >&-', sys.executable, code], capture_output=True, timeout=120)
     assert (closed.returncode, closed.stderr) == (0, b"")
 
 
-def test_sigint_ends_a_command_with_status_130(tmp_path):
+def test_sigint_ends_a_command_with_status_130():
     """`doctor` is replaced by a command that sends its own process what Ctrl-C sends."""
     code = (
         "import signal, sys; from probedesign.cli import doctor, main;"

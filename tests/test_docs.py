@@ -16,7 +16,7 @@ import pytest
 
 import probedesign
 from probedesign.cli.main import run
-from probedesign.simulation import scenes
+from probedesign.simulation import scenes, simulated_run
 
 ROOT = Path(__file__).parent.parent
 #: Pages whose examples follow from each other and print values.
@@ -88,6 +88,7 @@ def test_the_commands_of_a_page_run_in_order(page, run_once, tmp_path, monkeypat
     shutil.copytree(ROOT / "designs", tmp_path / "designs")
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(scenes, "touch_targets", lambda *_: TOUCHES)
+    monkeypatch.setattr(simulated_run, "SAMPLE_RATE", 875.0)  # a quarter of the samples of simulated runs
     results = []
     for step in steps_of(page):
         if isinstance(step, list):
