@@ -1,6 +1,5 @@
 """Comparison of several designs: one table, and charts with common axes."""
 
-import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -10,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from probedesign.core.errors import InputError
-from probedesign.core.frames import Array
 from probedesign.core.units import MM, format_value
 from probedesign.design import Design
 from probedesign.design.catalog import assumed_text
@@ -27,7 +25,6 @@ from probedesign.optimization.objective import (
 from probedesign.prediction.fused import MAX_TOUCHES, FusedHeadline, PressSchedule
 from probedesign.prediction.predict import (
     DIRECTION_STEP_DEG,
-    FRACTIONS,
     HEADLINE_FRACTION,
     ErrorOverDirections,
     Prediction,
@@ -35,7 +32,7 @@ from probedesign.prediction.predict import (
     fused_headline,
 )
 from probedesign.probe import build_probe
-from probedesign.reports.chart import COLOURS, DASHES, MARKS, Chart, ChartAxis, LegendEntry
+from probedesign.reports.chart import COLOURS, DASHES, MARKS, Chart, ChartAxis
 from probedesign.reports.html_page import HtmlTable, ReportFigure, report_page
 from probedesign.reports.prediction_charts import direction_chart, lateral_axis
 
@@ -106,7 +103,8 @@ def compare(designs: Sequence[Design], task: Task) -> list[ComparedDesign]:
         rms = tuple(task.combined(predict_task(model, other, slipping=False).errors) for other in by_force)
         touches = tuple(task.combined(predict_task(model, other, slipping=False).errors) for other in along)
         metrics, estimator = design_metrics(design, task), Estimator(model, task.priors(model))
-        over = errors_over_directions(estimator, FRACTIONS, (task.force_N,)) if curved and estimator.free().ok else ()
+        at = (HEADLINE_FRACTION,)
+        over = errors_over_directions(estimator, at, (task.force_N,)) if curved and estimator.free().ok else ()
         compared.append(ComparedDesign(design, metrics, touches, rms, prediction, fused_headline(model), over))
     return compared
 
@@ -187,17 +185,12 @@ def comparison_page(compared: Sequence[ComparedDesign], task: Task) -> bytes:
     ]  # fmt: skip
     if any(entry.over for entry in compared):
         force_text = f"single readings of {1e3 * task.force_N:g} mN"
-        at_0_8 = {entry.design.name: row.errors_mm for entry in compared for row in entry.over
-                  if row.contact_fraction == HEADLINE_FRACTION}  # fmt: skip
-        sections += [
-            ReportFigure("Error over the direction of the force",
-                    f"RMS error of {force_text} at {HEADLINE_FRACTION:g} of the length, all sources included, is the "
-                    "distance from the centre; X and Y are the axes of the touched section.",
-                    direction_chart(at_0_8).svg()),
-            ReportFigure("Best design by place and direction",
-                    f"The smallest RMS error [mm] of {force_text}, all sources included, by direction of the force "
-                    "from X towards Y. Grey: the two best designs differ by less than 5 %.", _best_map(compared).svg()),
-        ]  # fmt: skip
+        at_0_8 = {entry.design.name: row.errors_mm for entry in compared for row in entry.over}
+        sections.append(ReportFigure(
+            "Error over the direction of the force",
+            f"RMS error of {force_text} at {HEADLINE_FRACTION:g} of the length, all sources included, is the "
+            "distance from the centre; X and Y are the axes of the touched section.", direction_chart(at_0_8).svg(),
+        ))  # fmt: skip
     assumed = [f"{entry.design.name} assumes {assumed_text(entry.design.assumptions)}" for entry in compared]
     title = f"Comparison: {' · '.join(entry.design.name for entry in compared)}"
     table, verdict = comparison_table(compared), comparison_verdict(compared)
@@ -205,30 +198,7 @@ def comparison_page(compared: Sequence[ComparedDesign], task: Task) -> bytes:
     return report_page(title, about, table, sections, verdict=verdict)
 
 
-def _best_map(compared: Sequence[ComparedDesign]) -> Chart:
-    """Return which design has the smallest error of a single reading, by place and direction."""
-    degrees = range(0, 360, 2 * DIRECTION_STEP_DEG)
-    chart = Chart(ChartAxis.named(_PLACE.label, [f"{at:g}" for at in FRACTIONS]),
-                  ChartAxis.named("direction of the force", [f"{k}°" for k in degrees]))  # fmt: skip
-    errors, colours = _errors_over(compared), COLOURS[1:]
-    order = np.sort(errors, axis=0)
-    for i, j in itertools.product(range(len(FRACTIONS)), range(len(degrees))):
-        smallest, best = order[0, i, 2 * j], int(errors[:, i, 2 * j].argmin())
-        fill = colours[best] if smallest < _ALIKE * order[1, i, 2 * j] else "#e4e4e4"
-        chart.box((i + 0.5, i + 1.5), (j + 0.5, j + 1.5), fill)
-        chart.text(i + 1, j + 1, f"{smallest:.2g}" if math.isfinite(smallest) else "buckles", size=11.0, on=fill)
-    chart.legend = [LegendEntry(entry.design.name, colour) for entry, colour in zip(compared, colours, strict=False)]
-    return chart
-
-
 _ALIKE = 0.95  #: Ratio of two errors above which the designs count as equally good.
-
-
-def _errors_over(compared: Sequence[ComparedDesign]) -> Array:
-    """Return the errors of single readings [mm] by design, place and direction, (designs, places, directions)."""
-    unknown = [[None] * (360 // DIRECTION_STEP_DEG)] * len(FRACTIONS)
-    errors = np.array([[row.errors_mm for row in entry.over] or unknown for entry in compared], dtype=float)
-    return np.where(np.isnan(errors), np.inf, errors)
 
 
 def directions_verdict(compared: Sequence[ComparedDesign]) -> str:
@@ -236,7 +206,9 @@ def directions_verdict(compared: Sequence[ComparedDesign]) -> str:
     if not any(entry.over for entry in compared):
         return ""
     force = next(entry.over[0].force_N for entry in compared if entry.over)
-    errors = _errors_over(compared)[:, FRACTIONS.index(HEADLINE_FRACTION)]
+    unknown = [None] * (360 // DIRECTION_STEP_DEG)
+    errors = np.array([entry.over[0].errors_mm if entry.over else unknown for entry in compared], dtype=float)
+    errors = np.where(np.isnan(errors), np.inf, errors)
     best, order = errors.argmin(axis=0), np.sort(errors, axis=0)
     clear, parts = order[0] < _ALIKE * order[1], []
     for k, entry in enumerate(compared):
