@@ -8,19 +8,18 @@ import numpy as np
 import viser
 from scipy.spatial.transform import Rotation
 
-from probedesign.core.errors import InputError
 from probedesign.core.files import exports_of
-from probedesign.core.frames import Array, inverse
+from probedesign.core.frames import Array
 from probedesign.core.statistics import ellipsoid_95
 from probedesign.core.statistics import rms as rms_of
 from probedesign.core.units import MM
 from probedesign.estimation.estimate import Estimate
 from probedesign.geometry.tube import BentShape, TubeMesh, centreline
-from probedesign.mount.mount import Mount
 from probedesign.probe import Probe
 from probedesign.rod.equilibrium import Equilibrium
 from probedesign.studio.figures import DesignFigures, DrawnTouch, errors_along, touched_shape
 from probedesign.studio.session import TOUCH_RANGE, StudioTouch, knots_of
+from probedesign.web.home import adapters
 from probedesign.web.scene import (
     ARROW,
     CONTACT,
@@ -29,14 +28,11 @@ from probedesign.web.scene import (
     SPREAD,
     STALE_COLOUR,
     UNIT,
-    RigidPart,
     Stage,
     arrow,
-    cylinder,
     error_colours,
     level_rotation,
     quaternion,
-    revolved,
     rigid_parts,
     update,
 )
@@ -211,7 +207,7 @@ class StudioScene:
         if key == self._parts_of:
             return
         self._parts_of = key
-        parts = {part.name: part for part in rigid_parts(model, folder, _adapters(probe))[0]}
+        parts = {part.name: part for part in rigid_parts(model, folder, adapters(probe.design, model))[0]}
         self._hull = np.concatenate([part.vertices for part in parts.values()])
         for name in self._parts.keys() - parts.keys():
             self._parts.pop(name).remove()
@@ -335,22 +331,6 @@ class StudioScene:
         before, start = self._grabbed
         across = float((pointer - start) @ centreline(bent, np.array([s]))[1][0])
         self._on_change(f"knot.{index}", round(1e3 * max(before + 2.0 * across, 0.0), 1))
-
-
-def _adapters(probe: Probe) -> list[RigidPart]:
-    """Return the adapters as bodies of revolution, without holes; none where one cannot be made."""
-    mount, T = Mount.of(probe.design), inverse(probe.model.T_sensor_base)
-    try:
-        a, plate = mount.sensor_adapter, mount.flange_adapter
-    except InputError:
-        return []
-    foot, cone, rim, recess = (d / 2.0 for d in (a.foot_d, a.cone_d, a.body_d, a.recess_d))
-    outline = [(0.0, 0.0), (foot, 0.0), (foot, a.foot_height), (cone, a.foot_height), (rim, a.cone_top),
-               (rim, a.body_top), (recess, a.body_top), (recess, a.floor), (0.0, a.floor)]  # fmt: skip
-    bore, top, high = a.ring_bore_d / 2.0, a.ring_bore_top_d / 2.0, a.ring_thickness
-    ring = [(bore, 0.0), (rim, 0.0), (rim, high), (top, high), (bore, 0.0)]
-    flange_adapter = cylinder("flange_adapter", plate.plate_d, 0.0, plate.plate_top, T @ plate.T_sensor_robotflange)
-    return [revolved("sensor_adapter", outline, T), revolved("clamp_ring", ring, np.eye(4)), flange_adapter]
 
 
 def arrow_length(force_mN: float) -> float:

@@ -8,6 +8,7 @@ import base64
 import json
 import math
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import date
 from html import escape
@@ -19,21 +20,27 @@ from numpy.typing import NDArray
 
 from probedesign.core.errors import InputError
 from probedesign.core.files import exports_of, write_atomically
-from probedesign.core.frames import Array
+from probedesign.core.frames import Array, inverse
 from probedesign.design.catalog import assumed_text
+from probedesign.design.io import load_design
+from probedesign.design.schema import Design
 from probedesign.estimation.model import ProbeModel
 from probedesign.frozen_probe import stale_parts
 from probedesign.geometry.axis import Axis
 from probedesign.geometry.tube import BentShape, TubeMesh
+from probedesign.mount.mount import Mount
 from probedesign.reports.html_page import DOCTYPE, NAVIGATION, html_document
 from probedesign.reports.html_page import STYLE as PAGE_STYLE
 from probedesign.web.scene import (
     PART_COLOURS,
     PROBE,
     STALE_COLOUR,
+    RigidPart,
     colour_bar,
+    cylinder,
     error_colours,
     level_rotation,
+    revolved,
     rigid_parts,
 )
 
@@ -139,7 +146,11 @@ def write_home(
         f'<p class="number"><b>{value}</b>{escape(meaning)}</p>' for value, meaning in _numbers(prediction)
     )
     notes = f'<p class="small">Assumed until measured: {escape(assumed_text(model.assumptions))}.</p>'
-    body = (f'<div class="hero">{_scene(folder, model, prediction)}<div>{figures}{notes}</div></div>{waiting}{extra}'
+    mount: list[RigidPart] = []
+    with suppress(InputError):
+        mount = adapters(load_design(design), model) if design else []
+    scene = _scene(folder, model, prediction, mount)
+    body = (f'<div class="hero">{scene}<div>{figures}{notes}</div></div>{waiting}{extra}'
             f'<div class="cards">{cards}</div>')  # fmt: skip
     about = [f"Geometry {model.fingerprint} · {escape(model.resin or 'unknown resin')} · {escape(model.sensor)} · "
              f"{date.today().isoformat()}"]  # fmt: skip
@@ -257,8 +268,27 @@ def _errors(prediction: dict[str, Any], force_N: float) -> dict[float, float | N
 # scene
 
 
-def _scene(folder: Path, model: ProbeModel, prediction: dict[str, Any]) -> str:
-    """Return the element with the probe and its parts, as mounted and unloaded, coloured by the predicted error."""
+def adapters(design: Design, model: ProbeModel) -> list[RigidPart]:
+    """Return the adapters of a design as bodies of revolution, without holes; none where one cannot be made."""
+    mount, T = Mount.of(design), inverse(model.T_sensor_base)
+    try:
+        a, plate = mount.sensor_adapter, mount.flange_adapter
+    except InputError:
+        return []
+    foot, cone, rim, recess = (d / 2.0 for d in (a.foot_d, a.cone_d, a.body_d, a.recess_d))
+    outline = [(0.0, 0.0), (foot, 0.0), (foot, a.foot_height), (cone, a.foot_height), (rim, a.cone_top),
+               (rim, a.body_top), (recess, a.body_top), (recess, a.floor), (0.0, a.floor)]  # fmt: skip
+    bore, top, high = a.ring_bore_d / 2.0, a.ring_bore_top_d / 2.0, a.ring_thickness
+    ring = [(bore, 0.0), (rim, 0.0), (rim, high), (top, high), (bore, 0.0)]
+    flange_adapter = cylinder("flange_adapter", plate.plate_d, 0.0, plate.plate_top, T @ plate.T_sensor_robotflange)
+    return [revolved("sensor_adapter", outline, T), revolved("clamp_ring", ring, np.eye(4)), flange_adapter]
+
+
+def _scene(folder: Path, model: ProbeModel, prediction: dict[str, Any], mount: Sequence[RigidPart]) -> str:
+    """Return the element with the probe and its parts, as mounted and unloaded, coloured by the predicted error.
+
+    The adapters of `mount` are drawn until there are exported ones.
+    """
     rod = model.rod
     tube = TubeMesh(rod.s, rod.radius, model.cross_section.flatness)
     axis = model.axis or Axis(np.array([0.0, rod.length]), np.zeros((2, 2)))
@@ -270,7 +300,7 @@ def _scene(folder: Path, model: ProbeModel, prediction: dict[str, Any]) -> str:
         errors = _errors(prediction, SHOWN_N) if prediction else {}
     except (KeyError, TypeError, ValueError):
         errors = {}
-    parts, note = rigid_parts(model, folder)
+    parts, note = rigid_parts(model, folder, mount)
     colours = _colours(errors, tube) if errors else None
     meshes: list[tuple[Array, Any, tuple[int, int, int], Any]] = [(points, tube.faces, PROBE, colours)]
     meshes += [
@@ -291,7 +321,7 @@ def _scene(folder: Path, model: ProbeModel, prediction: dict[str, Any]) -> str:
     }  # fmt: skip
     caption = "Unloaded, as mounted; gravity points down, the grid is 10 mm. Drag or use the arrow keys to rotate."
     if note:
-        caption += " Mount and sensor are plain cylinders until the parts are exported."
+        caption += " The mount is drawn without its holes until the parts are exported."
     scale = colour_bar(f"error of one reading of {1e3 * SHOWN_N:g} mN at that place") if errors else ""
     script = Path(__file__).with_suffix(".js").read_text("utf-8")
     return (

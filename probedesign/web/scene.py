@@ -161,6 +161,7 @@ MAX_FACETS = 200_000
 RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 PREAMBLE = 84  #: Bytes before the first triangle: 80 of header, and their number.
 CYLINDER_SIDES = 48
+CHAMFER = 0.5 * MM  #: Of the cylinders; assumed.
 
 
 @dataclass(frozen=True)
@@ -178,7 +179,7 @@ def rigid_parts(model: ProbeModel, folder: Path, adapters: Sequence[RigidPart] =
     Args:
         model: of the probe.
         folder: with the exported parts, which are drawn where they fit the model.
-        adapters: drawn without exported parts; a plain cylinder if empty.
+        adapters: drawn without exported parts; a cylinder of their height if empty.
     """
     flange, T_base_sensor = model.flange, inverse(model.T_sensor_base)
     plain = [cylinder("sensor", model.sensor_d, -model.sensor_height, 0.0, T_base_sensor),
@@ -272,9 +273,10 @@ def creased(vertices: Array, faces: NDArray[Any]) -> tuple[Array, NDArray[Any]]:
 
 
 def cylinder(name: str, diameter: float, low: float, high: float, T: Array) -> RigidPart:
-    """Return a cylinder along z from low to high [m]."""
-    r = 0.5 * diameter
-    return revolved(name, [(0.0, low), (r, low), (r, high), (0.0, high)], T)
+    """Return a cylinder with chamfers along z from low to high [m]."""
+    r, c = 0.5 * diameter, min(CHAMFER, 0.2 * (high - low), 0.2 * diameter)
+    rim = [(r - c, low), (r, low + c), (r, high - c), (r - c, high)]
+    return revolved(name, [(0.0, low), *rim, (0.0, high)], T)
 
 
 def revolved(name: str, outline: Sequence[tuple[float, float]], T: Array) -> RigidPart:

@@ -1,8 +1,10 @@
 """The home page of a design: states and commands of its steps, its figures, links between its pages, bad files."""
 
+import base64
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from probedesign.cli.console import json_bytes
@@ -34,6 +36,18 @@ def test_a_page_without_files_has_the_command_of_each_step(tmp_path, probe):
     text = home(tmp_path, probe)
     assert "probedesign predict designs/large.toml" in text and "probedesign live large --source sim: --view" in text
     assert '<p class="number">' not in text and "http-equiv" not in text and probe.model.fingerprint in text
+
+
+def test_the_mount_is_drawn_before_it_is_exported(tmp_path, probe):
+    """From the robot's face, the adapter's plate, to the tip; without a design from the sensor."""
+    lengths = []
+    for design in (str(DESIGNS / "large.toml"), ""):
+        page = write_home(tmp_path, probe.model, design).read_text("utf-8")
+        scene = json.loads(page.split('id="scene-data">')[1].split("</script>")[0])
+        points = [np.frombuffer(base64.b64decode(part["points"]), "<u2").reshape(-1, 3) for part in scene["parts"]]
+        lengths.append(scene["step"] * np.ptp(np.concatenate(points)[:, 0].astype(float)))  # it hangs along x
+    assert lengths[0] == pytest.approx(probe.length + probe.model.T_robotflange_base[2, 3], abs=1e-5)
+    assert lengths[1] < lengths[0] - 5e-3
 
 
 def test_a_prediction_gives_the_figures_and_its_card_the_result(tmp_path, probe, prediction):
