@@ -49,7 +49,7 @@ def opened(running, page, width=1280, height=720, **options):
 @pytest.fixture
 def page(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    served = StudioPage(Session(load_design("small"), "small"), "127.0.0.1", 8185)
+    served = StudioPage(Session(load_design("small")), "127.0.0.1", 8185)
     yield served
     served.stop()
 
