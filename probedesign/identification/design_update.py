@@ -26,7 +26,7 @@ MATERIAL = {name: parameter for name, parameter in IN_DESIGN.items() if paramete
 REPLACED_WITH_E = ("material.stiffness_spread", "tolerances.youngs_modulus_by_diameter", "tolerances.root_radii")
 
 
-def design_changes(found: Identification, design: Design, day: str) -> tuple[Change, ...]:
+def design_changes(fit: Identification, design: Design, day: str) -> tuple[Change, ...]:
     """Return the keys that a design gets; poses and gravity belong to the bench and not to the probe.
 
     The value written is conditional on the design's diameters, which the frozen probe uses too: of E and diameters it
@@ -36,15 +36,15 @@ def design_changes(found: Identification, design: Design, day: str) -> tuple[Cha
     Raises:
         InputError: no number of a design was identified, or the fit is not valid.
     """
-    if not found.valid:
-        why = found.why or "the search did not converge"
-        raise InputError(f"{found.data}: {found.result}: {why}; nothing is written")
+    if not fit.valid:
+        why = fit.why or "the search did not converge"
+        raise InputError(f"{fit.data}: {fit.result}: {why}; nothing is written")
     of_rod = IN_DESIGN.keys() - set(AXIS)
-    numbers = [number for number in found.found if number.estimated and number.name in of_rod]
-    axis = _axis_changes(found, design, day)
+    numbers = [number for number in fit.found if number.estimated and number.name in of_rod]
+    axis = _axis_changes(fit, design, day)
     if not axis and not any(number.identified for number in numbers):
-        raise InputError(f"{found.data}: no number of a design is identified; use --for {', '.join(IN_DESIGN)}")
-    changes = [*axis, *(_value(number, found, day) for number in numbers)]
+        raise InputError(f"{fit.data}: no number of a design is identified; use --for {', '.join(IN_DESIGN)}")
+    changes = [*axis, *(_value(number, fit, day) for number in numbers)]
     for number in numbers:
         if number.name in MATERIAL:
             provenance = '"identified"' if number.identified else '"assumed"'
@@ -55,13 +55,13 @@ def design_changes(found: Identification, design: Design, day: str) -> tuple[Cha
             note = f"identified {day}, all errors of the bench included" if number.identified else number.why
             changes.append(Change("tolerances", PARAMETERS[number.name].attribute, f"{spread:.2g}", note))
     keys = [_split_key(number.name)[1] for number in numbers if number.name in MATERIAL and number.identified]
-    if found.served and keys:
+    if fit.served and keys:
         sources = design.material.provenance.model_dump()
         stay = any(sources[key] == "identified" for key in sources if key not in keys)
-        served = dict.fromkeys((*(design.material.identified_tests if stay else ()), *found.served))
+        served = dict.fromkeys((*(design.material.identified_tests if stay else ()), *fit.served))
         note = f"identified {day}: fingerprints of the tests that served; validate leaves them out"
         changes.append(Change("material", "identified_tests", json.dumps(list(served)), note))
-    E = found.of("E")
+    E = fit.of("E")
     if E is None:
         return tuple(changes)
     changes.append(Change("material", "stiffness_spread", f"{E.relative_std:.2g}",
@@ -72,23 +72,23 @@ def design_changes(found: Identification, design: Design, day: str) -> tuple[Cha
     return tuple(changes)
 
 
-def _axis_changes(found: Identification, design: Design, day: str) -> tuple[Change, ...]:
+def _axis_changes(fit: Identification, design: Design, day: str) -> tuple[Change, ...]:
     """Return the changes of the axis: both directions of the bow together, and the factor on the curvature.
 
     Raises:
         InputError: they were fitted with an E that is exactly the design's, and that nobody identified.
     """
-    of = {number.name: number for number in found.found if number.identified and number.name in AXIS}
-    if of and found.of("E") is None and design.material.provenance.youngs_modulus_mpa != "identified":
-        raise InputError(f"{found.data}: {', '.join(of)}: fitted with exactly the E of the design, which is "
+    of = {number.name: number for number in fit.found if number.identified and number.name in AXIS}
+    if of and fit.of("E") is None and design.material.provenance.youngs_modulus_mpa != "identified":
+        raise InputError(f"{fit.data}: {', '.join(of)}: fitted with exactly the E of the design, which is "
                          f"not identified; use --for E,{','.join(of)}")  # fmt: skip
     if not {"bow_x", "bow_y"} <= of.keys():
         of = {name: number for name, number in of.items() if name == "curvature"}
     factor, bow, std_mm = of.get("curvature"), None, 0.0
     if "bow_x" in of:
-        i = [found.correlated.index(name) for name in of]
+        i = [fit.correlated.index(name) for name in of]
         std = np.array([number.std for number in of.values()])
-        std_mm = deviation_std_mm(design.probe.designed_axis, found.correlation[np.ix_(i, i)] * np.outer(std, std))
+        std_mm = deviation_std_mm(design.probe.designed_axis, fit.correlation[np.ix_(i, i)] * np.outer(std, std))
         bow = (of["bow_x"].value, of["bow_y"].value)
     scale = None if factor is None or factor.std is None else (factor.value, factor.std)
     return axis_changes(design, bow, std_mm, scale, f"identified {day}")
@@ -99,9 +99,9 @@ def _split_key(name: str) -> tuple[str, str]:
     return table, key
 
 
-def _value(number: Identified, found: Identification, day: str) -> Change:
+def _value(number: Identified, fit: Identification, day: str) -> Change:
     caveat = f"; {number.caveat}" if number.caveat else ""
-    tests = f"{found.tests} test{'s' * (found.tests != 1)}"
+    tests = f"{fit.tests} test{'s' * (fit.tests != 1)}"
     start = f"identified {day}, {tests}" if number.identified else number.why
     note = f"{start}: {number.low:.4g} ... {number.high:.4g} in 95 %, with these diameters{caveat}"
     return Change(*_split_key(number.name), f"{number.value:.4g}", note)

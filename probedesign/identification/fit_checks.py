@@ -230,24 +230,24 @@ def inconsistency(fit: Fit) -> Contradiction | None:
         mostly = f", especially in {named}" if bad else ""
         return Contradiction(LABELS[kind], f"{n}; check {CHECKS[kind]}{mostly}")
     if bad:
-        words = (f"{_count(blocks, far, test=bad[0])}; check the known force and s_contact_mm, the marker numbers, the "
+        text = (f"{_count(blocks, far, test=bad[0])}; check the known force and s_contact_mm, the marker numbers, the "
                  "wrench and the base pose, or leave it out")  # fmt: skip
         readings = frozenset(block.key for block in blocks if block.test in bad and block.kind in READING_KINDS)
-        return Contradiction(f"readings of {named}", words, readings)
+        return Contradiction(f"readings of {named}", text, readings)
     if (every := _count(blocks, far)).too_many:
         return Contradiction("readings of all kinds", f"{every}; check units and the base's rotation in campaign.toml")
     for noise in fit.noise:
         if noise.measured and noise.kind in CHECKS and (share := _unexplained(fit.point, noise.kind)) > MAX_UNEXPLAINED:
-            words = f"{share:.0%} of their RMS scatter is not explained by the probe as designed"
-            return Contradiction(LABELS[noise.kind], f"{words}; check {CHECKS[noise.kind]}")
+            text = f"{share:.0%} of their RMS scatter is not explained by the probe as designed"
+            return Contradiction(LABELS[noise.kind], f"{text}; check {CHECKS[noise.kind]}")
         if noise.kind == "markers" and noise.scale > MAX_NOISE_SCALE:
             markers = [block for block in blocks if block.kind == "markers"]
             products = sum(float(a.r @ b.r) for a, b in pairwise(markers) if a.test == b.test)
             correlation = products / sum(block.squared_distance for block in markers)
             if correlation > MAX_NEIGHBOUR_CORRELATION:
-                words = (f"they scatter {noise.scale:.2g} times as much as stated, and neighbours alike (correlation "
+                text = (f"they scatter {noise.scale:.2g} times as much as stated, and neighbours alike (correlation "
                          f"{correlation:.2f}), so the probe as designed does not explain them")  # fmt: skip
-                return Contradiction("markers", f"{words}; check {CHECKS['markers']}")
+                return Contradiction("markers", f"{text}; check {CHECKS['markers']}")
     return None
 
 
@@ -323,8 +323,8 @@ def check_priors(fit: Fit) -> list[Contradiction]:
         checked = sizes > MIN_REDUNDANCY  # directions that the rest of the data check
         if checked.any():
             squares, freedom = float(np.sum((directions.T @ r)[checked] ** 2 / sizes[checked])), int(checked.sum())
-            words = f"what is stated deviates from the rest of the data: {chi2_words(squares, freedom)}; check {source}"
-            tests.append(Contradiction(label, words, readings, concerned, float(chi2.sf(squares, freedom))))
+            text = f"what is stated deviates from the rest of the data: {chi2_words(squares, freedom)}; check {source}"
+            tests.append(Contradiction(label, text, readings, concerned, float(chi2.sf(squares, freedom))))
     return sorted((test for test in tests if test.chance < REJECTION_CHANCE / len(tests)), key=lambda test: test.chance)
 
 
@@ -444,9 +444,9 @@ def likely_causes(fit: Fit, names: Sequence[str] = ()) -> tuple[LikelyCause, ...
     causes = _fitted(some, stated, hypotheses)
     if names or any(cause.explains for cause in causes) or _agrees(stated):
         return tuple(causes)
-    words = ("probe: another probe than the design's, or a mistake that is not listed here; check probe and "
+    text = ("probe: another probe than the design's, or a mistake that is not listed here; check probe and "
              "fingerprint in campaign.toml, and the diameters of the print")  # fmt: skip
-    probe = Hypothesis("probe", words, loose=range(some.common.size)[some.common.print_columns], price=-np.inf)
+    probe = Hypothesis("probe", text, loose=range(some.common.size)[some.common.print_columns], price=-np.inf)
     return *_fitted(some, stated, [probe]), *causes
 
 
@@ -480,22 +480,24 @@ def _fitted(
     for _, hypothesis, start in sorted(starts, key=lambda row: row[0])[:MAX_REFINED]:
         point = minimise(minimise(start, None, MAX_FIT_ROUNDS)[0], {}, MAX_FIT_ROUNDS)[0]
         loss, explains = point.loss({}), _agrees(point) and (stated is None or not _agrees(stated))
-        evidence, moves = (
-            f"χ² of {len(problem.tests)} tests is {2.0 * loss:.4g}, and they have no equilibrium otherwise",
-            {},
-        )
+        moves, evidence = dict[str, float](), f"is {2.0 * loss:.4g}, and they have no equilibrium otherwise"
         if stated is not None:
             gain = stated.loss({}) - loss
             if gain < 0.5 * chi2.isf(0.01 / len(starts), max(len(hypothesis.loose), 1)) + hypothesis.price:
                 continue
-            evidence = f"χ² of {len(problem.tests)} tests falls from {2.0 * stated.loss({}):.4g} to {2.0 * loss:.4g}"
+            evidence = f"falls from {2.0 * stated.loss({}):.4g} to {2.0 * loss:.4g}"
             change = point.values.x - stated.values.x
             moves = {COMPONENTS[c]: float(change[c]) for c in range(PRINT)
                      if OWNER[c].max_std is not None and problem.active[c]}  # fmt: skip
         elif not explains:
             continue
-        words = hypothesis.words.format(np.exp(-2.0 * point.values.x[CREEP]))
-        causes.append((loss + hypothesis.price, LikelyCause(hypothesis.name, words, evidence, explains, moves)))
+        text = hypothesis.words.replace("RATIO", f"{np.exp(-2.0 * point.values.x[CREEP]):.3g}")
+        causes.append(
+            (
+                loss + hypothesis.price,
+                LikelyCause(hypothesis.name, text, f"χ² of {len(problem.tests)} tests {evidence}", explains, moves),
+            )
+        )
     return [cause for _, cause in sorted(causes, key=lambda pair: pair[0])]
 
 
@@ -547,15 +549,15 @@ def _mistakes_of_columns(common: CommonParameters) -> Iterator[Hypothesis]:
     signs = {"all wrenches": -np.ones(6), "forces": both, "moments": -both}
     signs |= {name: 1.0 - 2.0 * np.eye(6)[i] for i, name in enumerate(CHANNELS)}
     for which, factors in signs.items():
-        words = f"sign: {which} with the opposite sign; check the columns of wrenches.csv"
-        yield Hypothesis("sign", words, columns(partial(np.multiply, factors)))
+        text = f"sign: {which} with the opposite sign; check the columns of wrenches.csv"
+        yield Hypothesis("sign", text, columns(partial(np.multiply, factors)))
     for which, those in (("forces", both < 0.0), ("moments", both > 0.0)):
         for factor, size in ((1e-3, "large"), (1e3, "small")):
-            words = f"unit: {which} a thousand times too {size}; check the columns of wrenches.csv"
-            yield Hypothesis("unit", words, columns(partial(np.multiply, np.where(those, factor, 1.0))))
+            text = f"unit: {which} a thousand times too {size}; check the columns of wrenches.csv"
+            yield Hypothesis("unit", text, columns(partial(np.multiply, np.where(those, factor, 1.0))))
     actual = "base" if common.frame == "sensor" else "sensor"
-    words = f"frame: wrenches.csv states '# frame: {common.frame}', but its values are those of '# frame: {actual}'"
-    yield Hypothesis("frame", words, columns(np.positive, actual))
+    text = f"frame: wrenches.csv states '# frame: {common.frame}', but its values are those of '# frame: {actual}'"
+    yield Hypothesis("frame", text, columns(np.positive, actual))
 
 
 def _hypotheses(
@@ -566,11 +568,9 @@ def _hypotheses(
     if any(test.wrench_base is not None for test in tests):
         yield from _mistakes_of_columns(common)
     if exchanged:
-        words = "exchange: the readings of {} and {}; check wrenches.csv, or their places in tests.csv".format(
-            *exchanged
-        )
+        text = f"exchange: the readings of {' and '.join(exchanged)}; check wrenches.csv, or their places in tests.csv"
         price = float(np.log(len(tests) * (len(tests) - 1) / 2))
-        yield Hypothesis("exchange", words, lambda test: exchanged.get(test.name, test), price=price)
+        yield Hypothesis("exchange", text, lambda test: exchanged.get(test.name, test), price=price)
     if any(np.any(test.force_world) for test in tests if test.force_world is not None):
         for name, what, factor in (("sign", "with the opposite sign", -1.0), ("unit", "in mN", 1e-3)):
             yield Hypothesis(name, f"{name}: known forces {what}; check tests.csv", partial(_known, factor))
@@ -582,9 +582,9 @@ def _hypotheses(
         # the stiffness by the plane of bending, exp(-c cos 2φ) with φ the direction of the force, replaces the creep
         forces = {test.measured.name: test.eq.load[:2] for test in stated.tests}
         cosines = {name: float((f[0] ** 2 - f[1] ** 2) / max(f @ f, 1e-12)) for name, f in forces.items()}
-        words = ("planes: bending along x is {:.3g} times as stiff as along y, so planes of bending differ; measure "
+        text = ("planes: bending along x is RATIO times as stiff as along y, so planes of bending differ; measure "
                  "the diameters across both axes")  # fmt: skip
-        yield Hypothesis("planes", words, lambda test: replace(test, creep_ramp=cosines[test.name]), [CREEP])
+        yield Hypothesis("planes", text, lambda test: replace(test, creep_ramp=cosines[test.name]), [CREEP])
 
 
 def _known(factor: float, test: MeasuredTest) -> MeasuredTest:

@@ -257,7 +257,7 @@ def identify(data: IdentificationData, names: Sequence[str] = DEFAULT, accept: b
     sizes, student = drift_sizes(data.common, data.tests)
     data = replace(data, common=replace(data.common, drift=sizes))
     data, start = _solvable(data, names)
-    _check_counts(data, names)
+    _check_counts(data, start, names)
     fitted, identified, unobservable = _search(data, names, start)
     outlying = outliers(fitted.point.blocks, fitted.scales)
     at_first = fitted
@@ -376,13 +376,8 @@ def _solvable(data: IdentificationData, names: Sequence[str]) -> tuple[Identific
     return replace(data, tests=tuple(kept), notes=(*data.notes, *notes)), start
 
 
-def _check_counts(data: IdentificationData, names: Sequence[str]) -> None:
-    values = sum(
-        6 * (test.wrench_base is not None) + 3 * len(test.marker_s) + 3 * (test.p_touch_world is not None)
-        + bool(test.sag == test.sag) + (test.s_estimated and test.s_contact == test.s_contact) + 2 * test.touched
-        + sum(name in test.nuisance for name in ("weight", "stiffness")) + 6 * ("pose" in test.nuisance)
-        for test in data.tests
-    ) + (data.mass is not None)  # fmt: skip
+def _check_counts(data: IdentificationData, start: Linearization, names: Sequence[str]) -> None:
+    values = sum(len(block.r) for block in start.blocks if block.kind != "poisson")
     unknowns = len(columns_of(names)) + sum(test.nuisance_size for test in data.tests)
     if values < unknowns:
         raise InputError(

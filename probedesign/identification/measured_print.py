@@ -273,32 +273,32 @@ def covering(cov: Array) -> tuple[float, float]:
     return float(np.sqrt(together)), float(np.sqrt(max(rest, 0.0)))
 
 
-def diameter_changes(found: MeasuredDiameters, design: Design, day: str) -> tuple[Change, ...]:
+def diameter_changes(measurement: MeasuredDiameters, design: Design, day: str) -> tuple[Change, ...]:
     """Return the changes of a design by measured diameters: the dimensions, their provenance and the tolerances.
 
     Where E was identified with the former diameters, it changes with the base diameter as
     `youngs_modulus_by_diameter` states, because it is E·d⁴ that was measured.
 
     Args:
-        found: the measured diameters.
+        measurement: the measured diameters.
         design: that was measured.
         day: for the comments.
     """
     probe = design.probe
-    mean = [float(d) for d in found.measured]
-    note = f"measured {day}, {found.readings} readings: ± {{:.2g}} mm (one standard deviation)"
-    values: dict[str, tuple[str, str]] = {"base_d_mm": (repr(mean[0]), note.format(found.std[0]))}
+    mean = [float(d) for d in measurement.measured]
+    note = f"measured {day}, {measurement.readings} readings: ± {{:.2g}} mm (one standard deviation)"
+    values: dict[str, tuple[str, str]] = {"base_d_mm": (repr(mean[0]), note.format(measurement.std[0]))}
     if probe.tip_d_mm is not None:
-        values["tip_d_mm"] = (repr(mean[-1]), note.format(found.std[-1]))
+        values["tip_d_mm"] = (repr(mean[-1]), note.format(measurement.std[-1]))
     if probe.profile_mm is not None:
-        pairs = [[float(s), d] for s, d in zip(found.s, mean, strict=True)]
-        values["profile_mm"] = (json.dumps(pairs), note.format(found.std.max()))
+        pairs = [[float(s), d] for s, d in zip(measurement.s, mean, strict=True)]
+        values["profile_mm"] = (json.dumps(pairs), note.format(measurement.std.max()))
     changes = [Change("probe", key, text, comment) for key, (text, comment) in values.items()]
     changes.append(_measured(design, *values))
     if set(probe.assumed) & set(values):
         kept = [key for key in probe.assumed if key not in values]
         changes.append(Change("probe", "assumed", json.dumps(kept)))
-    together, each = found.after
+    together, each = measurement.after
     after = f"measured {day}: "
     changes += [
         Change("tolerances", "diameter_mm", f"{together:.3g}", after + "of all diameters together"),
@@ -307,7 +307,7 @@ def diameter_changes(found: MeasuredDiameters, design: Design, day: str) -> tupl
     ]
     power = design.tolerances.youngs_modulus_by_diameter or 0.0
     if power and design.material.youngs_modulus_mpa is not None:
-        E = design.material.youngs_modulus_mpa * (mean[0] / float(found.drawn[0])) ** power
+        E = design.material.youngs_modulus_mpa * (mean[0] / float(measurement.drawn[0])) ** power
         because = f"changed {day} with the base diameter, to the power {power:g}; identify again"
         changes.append(Change("material", "youngs_modulus_mpa", f"{E:.4g}", because))
     return tuple(changes)
@@ -467,16 +467,16 @@ def _scale_of(
     return 1.0 / size, float(std[0]) / size**2, offset, float(std[-1]), float(np.abs(residuals).max())
 
 
-def scale_changes(found: CouponScale, day: str) -> tuple[Change, ...]:
+def scale_changes(coupon: CouponScale, day: str) -> tuple[Change, ...]:
     """Return the changes of a design by a coupon; `day` is for the comment."""
     note = f"measured {day} on a coupon"
-    more = f"{found.rows} places: ± {{:.2g}} (one standard deviation)"
+    more = f"{coupon.rows} places: ± {{:.2g}} (one standard deviation)"
     changes = [
-        Change("print", "scale_xy", f"{found.scale_xy:.4f}", f"{note}, {more.format(found.std)}"),
-        Change("print", "offset_xy_mm", f"{found.offset_mm:.3f}", f"{note}, {more.format(found.offset_std_mm)}"),
+        Change("print", "scale_xy", f"{coupon.scale_xy:.4f}", f"{note}, {more.format(coupon.std)}"),
+        Change("print", "offset_xy_mm", f"{coupon.offset_mm:.3f}", f"{note}, {more.format(coupon.offset_std_mm)}"),
     ]
-    if found.scale_z is not None:
-        changes.append(Change("print", "scale_z", f"{found.scale_z:.4f}", f"{note}: ± {found.std_z:.2g}"))
+    if coupon.scale_z is not None:
+        changes.append(Change("print", "scale_z", f"{coupon.scale_z:.4f}", f"{note}: ± {coupon.std_z:.2g}"))
     return tuple(changes)
 
 

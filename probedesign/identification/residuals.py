@@ -444,7 +444,9 @@ def solve_test(
         others[name] = (less, more)
         ok = ok and less.ok and more.ok
     if ok and measured.touched:
-        touch = SurfaceTouch(rod, eq, force, angle, differences(others, lambda one: one.R_at(eq.s_contact), (3, 3)))
+        touch = SurfaceTouch(
+            rod, eq, force, angle, differences(others, lambda solved: solved.R_at(eq.s_contact), (3, 3))
+        )
     return SolvedTest(measured, values, nuisance, rod, eq, touch, others, gravity_base, R.T @ d_gravity, ok)
 
 

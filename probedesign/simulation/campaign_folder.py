@@ -110,8 +110,8 @@ def _tests(truth: GroundTruth, tests: list[SimulatedTest], rng: np.random.Genera
         elif test.p_surface_base is not None:
             if truth.plan.kind == "stage":
                 s = _known(test.s_contact + rng.normal() * std, std)
-            place = test.bench.to_world(test.p_surface_base) + rng.normal(size=3) * std
-            contact, spread = [f"{value / MM:.4f}" for value in place], f"{std / MM:g}"
+            touched = test.bench.to_world(test.p_surface_base) + rng.normal(size=3) * std
+            contact, spread = [f"{value / MM:.4f}" for value in touched], f"{std / MM:g}"
         sag = ["", ""]
         if test.name == "hang-1":
             sag = _known(_sag(truth, test) + rng.normal() * STD_SAG, STD_SAG)

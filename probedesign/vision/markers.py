@@ -410,7 +410,7 @@ def find_markers(path: Path, s: ArrayLike, base: Array | ImageSide, dark: bool |
 # the picture
 
 
-def overlay(grey: NDArray[np.uint8], found: DetectedMarkers) -> NDArray[np.uint8]:
+def overlay(grey: NDArray[np.uint8], markers: DetectedMarkers) -> NDArray[np.uint8]:
     """Return the part of a photograph about its markers, with their outlines, centres and numbers.
 
     The picture is blue, green, red (height, width, 3).
@@ -418,22 +418,22 @@ def overlay(grey: NDArray[np.uint8], found: DetectedMarkers) -> NDArray[np.uint8
     require_opencv()
     import cv2
 
-    margin = 0.12 * float(np.ptp(found.pixels, axis=0).max()) + 20.0
+    margin = 0.12 * float(np.ptp(markers.pixels, axis=0).max()) + 20.0
     size = np.array(grey.shape[::-1])
-    low = np.clip(np.floor(found.pixels.min(axis=0) - margin), 0, size - 1).astype(np.int64)
-    high = np.clip(np.ceil(found.pixels.max(axis=0) + margin), low + 1, size).astype(np.int64)
+    low = np.clip(np.floor(markers.pixels.min(axis=0) - margin), 0, size - 1).astype(np.int64)
+    high = np.clip(np.ceil(markers.pixels.max(axis=0) + margin), low + 1, size).astype(np.int64)
     part = grey[low[1] : high[1], low[0] : high[0]]
     scale = max(1, int(np.ceil(WIDTH_PX / part.shape[1])))
     large = cv2.resize(part, None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC)
     picture = cv2.cvtColor(large, cv2.COLOR_GRAY2BGR)
     # (0, 0) is the centre of a pixel in the photograph and in its enlarged part
-    pixels = np.array([dot.pixel for dot in found.dots])
+    pixels = np.array([dot.pixel for dot in markers.dots])
     points = np.asarray((pixels - low + 0.5) * scale - 0.5, dtype=np.float64)
     cv2.polylines(picture, [_fixed(points)], False, YELLOW, 1, cv2.LINE_AA, _FRACTION)
     along, angle = np.gradient(points, axis=0), np.linspace(0.0, 2 * np.pi, 60, endpoint=False)
     normals = np.column_stack([along[:, 1], -along[:, 0]]) / np.linalg.norm(along, axis=1, keepdims=True)
     circle = np.array([np.cos(angle), np.sin(angle)])
-    for number, (dot, point) in enumerate(zip(found.dots, points, strict=True), 1):
+    for number, (dot, point) in enumerate(zip(markers.dots, points, strict=True), 1):
         outline = _fixed(point + scale * np.linalg.solve(dot.shape, circle).T)
         cv2.polylines(picture, [outline], True, GREEN, 1, cv2.LINE_AA, _FRACTION)
         # The number is beside the dot, outside the probe, on the outer side of its bend.
