@@ -6,7 +6,7 @@ A source delivers raw readings in blocks of any size. Results do not depend on w
 
 import time
 from collections.abc import Callable, Generator, Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import inf
 from typing import NamedTuple
 
@@ -80,11 +80,12 @@ def joined(blocks: list[Block]) -> Block:
     """Return the readings of blocks as one, with gravity, fault and stretch of the first."""
     if len(blocks) == 1:
         return blocks[0]
+    first = blocks[0]
     time, wrench, received = (
         np.concatenate([getattr(block, name) for block in blocks]) for name in ("time", "wrench_sensor", "received")
     )
     truths = tuple(truth for block in blocks for truth in block.truths)
-    return replace(blocks[0], time=time, wrench_sensor=wrench, received=received, truths=truths)
+    return Block(time, wrench, first.gravity_base, received, first.fault, first.stretch, truths, first.probe)
 
 
 def dropout_block(gravity_base: Array, why: str, stretch: int) -> Block:

@@ -103,26 +103,25 @@ class AveragedBatch(NamedTuple):
     reading: WrenchReading
 
 
-def mean_reading(blocks: list[Block]) -> WrenchReading:
-    """Return the mean of all readings, at their mean time and with the last arrival time.
+def averaged(blocks: list[Block]) -> AveragedBatch:
+    """Return all readings of blocks and their mean, at their mean time and with the last arrival time.
 
     The fault of any block becomes the fault of the mean. The true contact is free if it is free in any reading.
     """
-    truths = [truth for block in blocks for truth in block.truths]
     whole = joined(blocks)
     gravity = whole.gravity_base  # the same object if it is constant
     if any(block.gravity_base is not gravity for block in blocks):
         rows = np.concatenate([np.tile(block.gravity_base, (len(block), 1)) for block in blocks])
         gravity = gravity if (rows == gravity).all() else np.asarray(rows.mean(axis=0))
-    return WrenchReading(
-        float(whole.time.sum()) / len(whole),
-        whole.wrench_sensor.sum(axis=0) / len(whole),
-        gravity,
+    fault, n, truths = next((block.fault for block in blocks if block.fault), ""), len(whole), whole.truths
+    if gravity is not whole.gravity_base or fault != whole.fault:
+        whole = replace(whole, gravity_base=gravity, fault=fault)
+    reading = WrenchReading(
+        float(whole.time.sum()) / n, whole.wrench_sensor.sum(axis=0) / n, gravity,
         TrueContact(*(np.mean(values, axis=0) for values in zip(*truths, strict=True))) if truths else None,
-        next((block.fault for block in blocks if block.fault), ""),
-        blocks[-1].stretch,
-        float(whole.received[-1]),
-    )
+        fault, whole.stretch, float(whole.received[-1]),
+    )  # fmt: skip
+    return AveragedBatch(whole, reading)
 
 
 class Averager:
@@ -161,13 +160,9 @@ class Averager:
             if len(parts) == 1 and len(parts[0]) == 1:
                 yield AveragedBatch(parts[0], next(parts[0].readings()))
                 continue
-            whole, reading = parts[0], mean_reading(parts)
-            if len(parts) > 1:
-                gravity, fault, stretch = reading.gravity_base, reading.fault, reading.stretch
-                whole = replace(joined(parts), gravity_base=gravity, fault=fault, stretch=stretch)
-            yield AveragedBatch(whole, reading)
+            yield averaged(parts)
         if start < len(block):
-            self._pending.append(block[start:])
+            self._pending.append(block[start:] if start else block)
             self.n_pending += len(block) - start
 
     def finish(self) -> Iterator[AveragedBatch]:

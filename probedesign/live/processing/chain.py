@@ -306,7 +306,7 @@ class Chain:
         reported = batch.reading.fault
         batch, fault = self._signals.check(batch)
         self._signals.screen.report(batch.reading.time, self._log)
-        whole = batch.reading if reported else replace(batch.reading, fault=fault)
+        whole = batch.reading if reported or not fault else replace(batch.reading, fault=fault)
         block, reading = self._at_pose(batch.block, whole)
         T = None if self._poses is None else self._poses.at(reading.time)
         if self._poses is not None and (T is None) != self._pose_missing:

@@ -254,11 +254,13 @@ class ContactHistory:
             self._count += 1
             current = Contact(self._count, time)
             self.contacts = (*self.contacts[1 - MAX_CONTACTS :], current)
+        settled, point = current.settled or phase == "settled", current.fused
         if current.refused:
-            current = replace(current, fused=fused and FusedEstimate("inconsistent"))
-        elif phase == "settled" or not current.settled:
-            current = replace(current, fused=fused or current.fused)
-        self._replace_last(replace(current, settled=current.settled or phase == "settled"))
+            point = fused and FusedEstimate("inconsistent")
+        elif phase == "settled" or not settled:
+            point = fused or point
+        if settled != current.settled or point is not current.fused:
+            self._replace_last(replace(current, fused=point, settled=settled))
         return None
 
     def locate(self, estimate: Estimate, phase: Phase) -> None:
