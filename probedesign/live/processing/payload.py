@@ -73,11 +73,14 @@ class Rest:
 
 
 def tool_model() -> ProbeModel:
-    """Return a stand-in for the model of a sensor whose tool has no probe: a rod without weight, and no limits."""
-    rod = Rod(np.array([0.0, 1e-3]), np.full(2, 1e-3), 1e9, 1e9, 1e-6)
+    """Return a stand-in for the model of a sensor whose tool has no probe: a rod without weight, and no limits.
+
+    The page draws it in place of the tool, 80 mm long.
+    """
+    rod = Rod(np.array([0.0, 80e-3]), np.full(2, 8e-3), 1e9, 1e9, 1e-6)
     quantity = Quantity(1.0, "assumed", "stand-in")
     return ProbeModel(
-        "tool", "none", Flange(1e-3, 1e-3), rod, np.array([0.0, 0.0, -9.81]), np.eye(4), NOTHING, np.full(6, 1e9),
+        "tool", "none", Flange(20e-3, 3e-3), rod, np.array([0.0, 0.0, -9.81]), np.eye(4), NOTHING, np.full(6, 1e9),
         Noise.isotropic(1e6, 1e6), material=dict.fromkeys(("youngs_modulus", "shear_modulus", "density"), quantity),
     )  # fmt: skip
 

@@ -153,7 +153,7 @@ def guide_html(guide: Guide) -> str:
         for c, tip in ((104, "up"), (304, "down"))
     )  # fmt: skip
     return (
-        '<svg viewBox="0 0 408 220" style="width:100%;max-width:420px" role="img" aria-label="orientations measured">'
+        '<svg viewBox="0 0 408 226" style="width:100%;max-width:420px" role="img" aria-label="orientations measured">'
         f'<g font-size="15" fill="currentColor">{halves}</g>{"".join(drawn)}</svg>'
         '<div class="pd-small">Side of the base that points up: <b style="color:var(--pd-guide-done)">●</b> measured, '
         '<b style="color:var(--pd-guide-now)">○</b> now and next, <b style="color:var(--pd-bad)">○</b> not used</div>'
