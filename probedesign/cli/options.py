@@ -178,9 +178,9 @@ class ReadingOptions:
     """Number of readings per mean. Default: by rate and noise of the first readings, so that a mean has the noise that
     BUNDLE states."""
     seconds: float | None = None
-    """End this many seconds after the first reading."""
+    """End this many seconds after the first reading; with --follow after the start."""
     source: str | None = None
-    """Live source instead of a recording, as for `live`. Ends with the source, at --seconds or with Ctrl-C."""
+    """Live source of one probe instead of a recording, as for `live`. Ends with it, at --seconds or with Ctrl-C."""
     follow: str | None = None
     """Instead of a recording, take the touches of a run of `live --publish udp://HOST:PORT` with poses and a tare, at
     udp://[HOST]:PORT. After each touch the map is printed and, with --publish, sent. Ends at --seconds or with
@@ -374,7 +374,7 @@ class SuggestionOptions:
     suggest: bool = False
     """Print the touch that is expected to improve the goal most, with the pose of the base."""
     goal: str = "shapes"
-    """shapes (the one that is known worst), extent (of an edge or another shape), pose (of --object) or stiffness (of
+    """shapes (the one that is known worst), extent (of an edge or a plane), pose (of --object) or stiffness (of
     --one-object)."""
     force_limit_mN: Annotated[float, Parameter(name="--force-limit-mN")] = 4.0
     """Largest force on the object [mN]; less where an object as soft as the design's prior would yield by 2 mm."""
