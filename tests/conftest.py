@@ -13,7 +13,7 @@ settings.load_profile("probedesign")
 LONGEST = (
     "tests/test_docs.py", "tests/cad/test_parts.py", "tests/cad/test_export.py", "tests/optimization/test_optimum.py",
     "tests/reports/test_every_page.py", "tests/identification/test_fit_checks.py",
-    "tests/identification/test_mistakes.py",
+    "tests/identification/test_mistakes.py", "tests/printing/test_layers.py",
     "tests/live/test_view_page.py", "tests/studio/test_page.py", "tests/estimation/test_fusion.py",
     "tests/estimation/test_curved_touches.py", "tests/mapping/test_explore.py", "tests/cad/test_documents.py",
     "tests/reports/test_notebook.py", "tests/live/test_netft.py",
