@@ -22,6 +22,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
+from scipy.special import ndtr
 
 from probedesign.core import statistics
 from probedesign.core.errors import InputError
@@ -50,6 +51,7 @@ MIN_LEAN = 0.15  #: Least sine of the angle between a straight probe and a face 
 REACH = 0.1  #: Distance beyond the poses of the run that the base may take [m]; assumed.
 CLEAR = 0.5 * MM  #: How far the axis of the probe may lie within an object before it counts as a collision [m].
 BEYOND = (0.0, 3.0, 6.0, 10.0, 15.0, 25.0)  #: Distances of candidates beyond the touched part of a shape [mm].
+SAME_FACE = math.cos(math.radians(30.0))  #: Least cosine of the normals of one side of a known object; assumed.
 N_PLACES = 80  #: Number of candidates on a known object.
 MIN_GAIN = 0.01  #: Least reduction of the standard deviation that is a gain.
 
@@ -75,6 +77,7 @@ class PlaceToTouch(NamedTuple):
     J: Array  #: derivative of the measured distances by the parameters of the goal, (k, d).
     N: Array  #: their directions, (k, 3).
     by_tip: bool  #: whether a straight probe touches it with its tip.
+    hit: float = 1.0  #: probability that the object is there.
 
 
 @dataclass(frozen=True)
@@ -203,13 +206,21 @@ def _sides(shape: Shape) -> Array:
 
 
 def of_object(known: KnownObject, at: ObjectPose) -> Iterator[PlaceToTouch]:
-    """Yield places on a known object, evenly spread."""
+    """Yield places on a known object, evenly spread.
+
+    A place is hit unless the pose is off by more than its distance from the nearest surface of another direction.
+    """
     chosen = np.linspace(0, len(known.samples) - 1, N_PLACES).astype(int)
-    x = at.to_world(known.samples[chosen])
-    normals = known.normals[known.sample_faces[chosen]] @ at.T_world_object[:3, :3].T
+    p, of_samples = known.samples[chosen], known.normals[known.sample_faces]
+    x, normals = at.to_world(p), of_samples[chosen] @ at.T_world_object[:3, :3].T
     J = by_pose(at, x, normals)
     for i in range(len(x)):
-        yield PlaceToTouch(x[i], normals[i], J[i : i + 1], normals[i : i + 1], True)
+        other = of_samples @ of_samples[chosen[i]] < SAME_FACE
+        room = float(np.linalg.norm(known.samples[other] - p[i], axis=1).min(initial=math.inf))
+        axes = np.linalg.svd(normals[i : i + 1])[2][1:]
+        aside = by_pose(at, np.tile(x[i], (2, 1)), axes)
+        std = math.sqrt(float(np.linalg.eigvalsh(aside @ at.cov @ aside.T)[-1]))
+        yield PlaceToTouch(x[i], normals[i], J[i : i + 1], normals[i : i + 1], True, float(ndtr(room / std)))
 
 
 def suggest(
@@ -254,7 +265,7 @@ def suggest(
             if goal == "stiffness":
                 gain = before**2 - 1.0 / (1.0 / before**2 + press.on_compliance)
             elif goal != "extent":
-                gain = before**2 - _left(sought.P, sought.A, candidates[i], Sigma)
+                gain = candidates[i].hit * (before**2 - _left(sought.P, sought.A, candidates[i], Sigma))
             gain -= 1e-6 * float(np.trace(Sigma))  # among equal ones the most accurate
             if best is None or gain > best[0]:
                 best = gain, candidates[i], press, T
@@ -312,7 +323,8 @@ def _pose_or_shape(goal: str, shapes: Sequence[Shape], known: tuple[KnownObject,
             gains = [_extent_gain(shape, candidate.x) for candidate in candidates]
             return _Sought(f"extent of the {name}", _extent_std(shape)[0], candidates, gains)
     before = math.sqrt(float(np.trace(A @ P @ A.T)))
-    return _Sought(name, before, candidates, [before**2 - _left(P, A, each) for each in candidates], P, A)
+    gains = [each.hit * (before**2 - _left(P, A, each)) for each in candidates]
+    return _Sought(name, before, candidates, gains, P, A)
 
 
 def _left(P: Array, A: Array, candidate: PlaceToTouch, Sigma: Array | None = None) -> float:
