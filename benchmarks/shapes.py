@@ -208,7 +208,7 @@ def house_rows(houses: int) -> list[list[str]]:
     counts = {kind: np.zeros(4, dtype=int) for kind in ("edge", "plane")}
     stated: dict[str, list[float]] = {kind: [] for kind in counts}
     lost = pushed = 0
-    for seed in range(200, 200 + houses):  # the plan of touches and the fit were developed on lower ones
+    for seed in range(300, 300 + houses):  # the plan of touches and the fit were developed on lower ones
         simulated = SimulatedMap(seed)
         compliance = np.array([simulated.compliance() for _ in cards])
         places, of_card = house_places(simulated.rng, compliance)

@@ -466,8 +466,9 @@ class ShapeFit:
             best = {label: shape for shape in sorted(free, key=lambda shape: shape.odds) if shape.kind == "edge"
                     for label in shape.touches}  # fmt: skip
             pool = [*best.values(), *(shape for shape in self._packed(free) if shape.kind == "edge")]
+            pool += [part for edge in pool for part in self._parts(edge) if part.odds >= MIN_ODDS]
             for edge in [*pool, *(shape for shape in chosen if shape.kind == "edge")]:
-                for more in self._sheets(edge) if edge.touches not in bounded else ():
+                for more in (edge, *self._sheets(edge)) if edge.touches not in bounded else ():
                     add(more)
                 bounded.add(edge.touches)
             sets = {(shape.kind, *shape.touches) for shape in every.values()}
@@ -610,8 +611,8 @@ class ShapeFit:
         i, fewest = self._indices(shape.touches), KINDS[shape.kind].fewest
         for places in shape.places(self.touches.p[i]).T:
             order = i[np.argsort(places)]
-            for k in range(fewest, len(order) - fewest + 1):
-                for part in (order[:k], order[k:]):
+            for k in range(1, len(order)):
+                for part in (part for part in (order[:k], order[k:]) if len(part) >= fewest):
                     fit = self.fitted(shape, self.touches.subset(np.sort(part)), quick=True)
                     if fit is not None:
                         yield fit
