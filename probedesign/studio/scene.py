@@ -19,7 +19,6 @@ from probedesign.probe import Probe
 from probedesign.rod.equilibrium import Equilibrium
 from probedesign.studio.figures import DesignFigures, DrawnTouch, errors_along, touched_shape
 from probedesign.studio.session import TOUCH_RANGE, StudioTouch, knots_of
-from probedesign.web.home import adapters
 from probedesign.web.scene import (
     ARROW,
     CONTACT,
@@ -207,6 +206,8 @@ class StudioScene:
         if key == self._parts_of:
             return
         self._parts_of = key
+        from probedesign.web.home import adapters  # the page of a design, which no studio shows
+
         parts = {part.name: part for part in rigid_parts(model, folder, adapters(probe.design, model))[0]}
         self._hull = np.concatenate([part.vertices for part in parts.values()])
         for name in self._parts.keys() - parts.keys():
