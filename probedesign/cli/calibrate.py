@@ -78,11 +78,14 @@ def calibrate(
     from probedesign.live.view.sinks import BrowserView
     from probedesign.live.view.state import GuideState
 
-    if tool == (bundle is not None):
-        raise InputError("give the frozen probe, or --tool for a sensor with another tool, and not both")
-    for name, value in (("count", count), ("seconds", seconds)):
-        if value is not None and not value > 0:
-            raise InputError(f"--{name} {value} must be positive")
+    for wrong, message in (
+        (tool == (bundle is not None), "give the frozen probe, or --tool for a sensor with another tool, and not both"),
+        (tool and source.startswith("sim:"), "--source sim: simulates a frozen probe: give BUNDLE instead of --tool"),
+        (count is not None and count <= 0, f"--count {count} must be positive"),
+        (seconds is not None and not seconds > 0.0, f"--seconds {seconds} must be positive"),
+    ):
+        if wrong:
+            raise InputError(message)
     estimator = Estimator(tool_model()) if bundle is None else pipeline.load_estimator(bundle, manifest)
     model, beside = estimator.model, _folder(bundle)
     out = out or beside / ("tool.calibration.json" if tool else f"{model.name}.calibrated.probe.json")

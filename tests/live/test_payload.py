@@ -334,6 +334,7 @@ def test_a_tool_is_calibrated_from_a_recording(tmp_path, capsys, model):
     [
         (["--source", SIM], "give the frozen probe, or --tool"),
         (["FROZEN", "--tool", "--source", SIM], "not both"),
+        (["--tool", "--source", SIM], "simulates a frozen probe"),
         (["FROZEN", "--source", "sim:"], "--pose is missing"),
         (["FROZEN", "--source", SIM, "--pose", "fixed"], "--pose fixed does not turn"),
         (["FROZEN", "--source", SIM, "--count", "0"], "--count 0 must be positive"),
