@@ -120,6 +120,8 @@ def explore(
     if rehearsed and (score := simulated_run.score(cloud, recorded)):
         document["score"] = score
     _print(cloud, scene.lines, document, out, as_json)
+    if "no_suggestion" in document and processing is not None:
+        raise InputError(document["no_suggestion"])
 
 
 def _arguments(
@@ -282,8 +284,7 @@ def _understood(
 ) -> "tuple[MapScene, dict[str, Any]]":
     """Return the map with its shapes and the next touch, and the latter for a JSON document, which is published.
 
-    Raises:
-        InputError: a suggestion is not possible; while a run is followed it is a line.
+    Where no suggestion is possible, the document says why, and while a run is followed a line does.
     """
     from probedesign.mapping.explore import joint_map
     from probedesign.mapping.shapes import ShapeFit, TouchSet, missing, shapes_document
@@ -301,7 +302,8 @@ def _understood(
     if known is not None:
         at, lines = known[1], [*lines, known[1].text]
         document["object"] = {"T_world_object": at.T_world_object.tolist(), "cov": at.cov.tolist(),
-                              "touches": at.touches, "left_out": at.left_out}  # fmt: skip
+                              "touches": at.touches, "left_out": at.left_out,
+                              "contradicted": at.contradicted}  # fmt: skip
     if options.suggest:
         try:
             best = _suggested(options, explorations, shapes, known, cloud.std_object_compliance)
@@ -310,9 +312,8 @@ def _understood(
             radius = [float(rod.radius_at(s)) for s in np.linspace(0.0, rod.length, len(ghost))]
             ghost = np.column_stack([ghost, radius])
         except InputError as error:
-            if not following:
-                raise
-            lines = [*lines, str(error)]
+            document["no_suggestion"] = str(error)
+            lines = [*lines, str(error)] if following else lines
     if publisher is not None:
         publisher.send_map(document)
     return MapScene(cloud, (), tuple(shapes), tuple(line for line in lines if line), ghost), document

@@ -2,7 +2,9 @@
 
 The residuals are those of `shapes`: the distances of the points from the surface, whitened by their joint covariance,
 and the angles of the forces from the outward normals there. The first guess is a normal prior on position and rotation.
-Touches that are far from the surface are left out. Needs trimesh, in the extra `mesh`.
+Touches that are far from the surface are left out. With d the distances from the surface and b the shift from the first
+guess, both whitened, |d|² + |b|² is χ² with as many degrees of freedom as touches, so a mesh of another object is
+noticed where it differs by more than the errors of the touches. Needs trimesh, in the extra `mesh`.
 """
 
 import math
@@ -17,6 +19,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
 
 from probedesign.core import statistics
 from probedesign.core.errors import InputError
@@ -33,6 +36,7 @@ FORCE_LENGTH = 0.012
 NEAREST = 4  #: Number of nearest samples whose triangles are compared.
 STARTS = 12  #: Number of starts of a fit, drawn from the prior.
 MAX_SIGMAS = 4.0  #: Distance of a touch from the surface in standard deviations beyond which it is left out.
+MIN_CHANCE = 1e-3  #: Chance of so large residuals below which the touches contradict the object.
 MIN_STD = 0.2e-3  #: Least standard deviation of a distance [m]: the mesh is not the object. Assumed.
 
 
@@ -129,6 +133,12 @@ class ObjectPose:
     cov: Array
     touches: tuple[str, ...] = ()  #: labels of the touches that were used.
     left_out: tuple[str, ...] = ()  #: labels of those that are far from the surface.
+    chance: float = 1.0  #: of residuals as large as those of the touches; 0 if a force points into the surface.
+
+    @property
+    def contradicted(self) -> bool:
+        """Whether the touches are hardly those of this object: their residuals are too large, or most are left out."""
+        return self.chance < MIN_CHANCE or len(self.left_out) > len(self.touches)
 
     @classmethod
     def prior(cls, T_world_object: Array, std: float, std_angle: float) -> "ObjectPose":
@@ -162,7 +172,9 @@ class ObjectPose:
         left = f", without touch {' '.join(self.left_out)}" if self.left_out else ""
         return (f"object at ({', '.join(f'{part:z.2f}' for part in p)}) mm ± {self.rms[0] / MM:.2g} mm, quaternion "
                 f"({', '.join(f'{part:z.4f}' for part in q)}) ± {math.degrees(self.rms[1]):.2g}°, "
-                f"{len(self.touches)} touches{left}")  # fmt: skip
+                f"{len(self.touches)} touches{left}"
+                + ("; the touches contradict this object: check the mesh, its unit (mm) and --object-at"
+                   if self.contradicted else ""))  # fmt: skip
 
 
 def by_pose(pose: ObjectPose, x: Array, normals: Array) -> Array:
@@ -199,10 +211,24 @@ def locate_object(
     used = touches.subset(kept)
     for _ in range(3):
         _, by, H = _fitted(used, of, prior, by, std_force, robust=False)
-    left_out = tuple(touches.labels[i] for i in np.setdiff1d(everything, kept))
+    distance, normals, beside = _faces(used, of, prior.moved(by))
+    d = statistics.whiten(_across(used, normals)) @ distance
+    b = np.concatenate([np.einsum("nab,nb->na", statistics.whiten(used.own_cov), beside).ravel(),
+                        statistics.whiten(prior.cov) @ by])  # fmt: skip
+    inward = bool((np.einsum("na,na->n", used.force, normals) < 0.0).any())
     return replace(
-        prior.moved(by), cov=np.asarray(np.linalg.inv(H), dtype=float), touches=used.labels, left_out=left_out
+        prior.moved(by),
+        cov=np.asarray(np.linalg.inv(H), dtype=float),
+        touches=used.labels,
+        left_out=tuple(touches.labels[i] for i in np.setdiff1d(everything, kept)),
+        chance=0.0 if inward else float(chi2.sf(d @ d + b @ b, len(used))),
     )
+
+
+def _across(touches: TouchSet, normals: Array) -> Array:
+    """Return the covariance of the distances of touches from a surface with normals (n, 3) [m²], (n, n)."""
+    cov = np.einsum("ia,iajb,jb->ij", normals, touches.cov, normals) + MIN_STD**2 * np.eye(len(touches))
+    return np.asarray(cov, dtype=float)
 
 
 def _faces(touches: TouchSet, of: KnownObject, pose: ObjectPose) -> tuple[Array, Array, Array]:
@@ -217,7 +243,7 @@ def _fitted(
 ) -> tuple[float, Array, Array]:
     """Return the cost, the six parameters from the prior and the information of a fit from a start."""
     normals, n = _faces(touches, of, prior.moved(start))[1], len(touches)
-    S = np.einsum("ia,iajb,jb->ij", normals, touches.cov, normals) + MIN_STD**2 * np.eye(n)
+    S = _across(touches, normals)
     W = np.diag(1.0 / np.sqrt(S.diagonal())) if robust else statistics.whiten(S)
     W_prior, W_each = statistics.whiten(prior.cov), statistics.whiten(touches.own_cov)
 

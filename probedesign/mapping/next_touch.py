@@ -8,11 +8,12 @@ where Σ is that of `LinearizedPresses` for a place on the probe, a direction an
 
 and the goal's variance is the mean square displacement of its points. The extent of an edge or a plane is the width w
 of an interval in which n touches with range R are uniform, with a log-uniform prior; a touch beyond an end is met with
-the probability that w reaches so far.
+the probability that w reaches so far, and so is one that improves another goal there.
 
 Every touch is one of a fixed set of places, orientations of the base near those of the run, and places on the probe.
 The errors that are common to the next touch and the earlier ones count as independent, so a gain is rather too large
-where these dominate. The probe is taken as straight beside the object: its axis must stay outside.
+where these dominate. The probe is taken as straight beside a known object: its axis must stay outside. The axis of the
+free probe crosses no shape of the map, and stays above the lowest point of the probe in the run, where a table may be.
 """
 
 import math
@@ -53,6 +54,8 @@ CLEAR = 0.5 * MM  #: How far the axis of the probe may lie within an object befo
 BEYOND = (0.0, 3.0, 6.0, 10.0, 15.0, 25.0)  #: Distances of candidates beyond the touched part of a shape [mm].
 SAME_FACE = math.cos(math.radians(30.0))  #: Least cosine of the normals of one side of a known object; assumed.
 N_PLACES = 80  #: Number of candidates on a known object.
+NEAR_CONTACT = 10.0 * MM  #: Length of the probe before its contact that may lie at the touched shape; assumed.
+FLOOR_MARGIN = 5.0 * MM  #: How far the probe may go below its lowest point in the run; assumed.
 MIN_GAIN = 0.01  #: Least reduction of the standard deviation that is a gain.
 
 
@@ -190,10 +193,19 @@ def of_shape(shape: Shape) -> Iterator[PlaceToTouch]:
     J, N = by_parameters(shape, x)[:, :, free], shape.distances(x)[1]
     for i, at in enumerate(x):
         if shape.kind in ("plane", "sphere", "cylinder"):
-            yield PlaceToTouch(at, N[i, 0], J[i], N[i], shape.kind == "plane")
+            yield PlaceToTouch(at, N[i, 0], J[i], N[i], shape.kind == "plane", _hit(shape, at))
         else:
             for side in _sides(shape):
-                yield PlaceToTouch(at, side, J[i], N[i], False)
+                yield PlaceToTouch(at, side, J[i], N[i], False, _hit(shape, at))
+
+
+def _hit(shape: Shape, x: Array) -> float:
+    """Return the probability that a plane or an edge reaches a place, as far beyond its touches at either end."""
+    if shape.kind not in ("plane", "edge"):
+        return 1.0
+    beyond = [2.0 * max(low - at, at - high, 0.0) for (low, high), at in zip(shape.extent, shape.local(x), strict=True)]
+    each = zip(_extent_std(shape)[1], beyond, strict=True)
+    return math.prod(_excess(len(shape.touches), range_, far)[0] if far > 0.0 else 1.0 for range_, far in each)
 
 
 def _sides(shape: Shape) -> Array:
@@ -252,6 +264,12 @@ def suggest(
     R0 = Rotation.from_matrix(Ts_world_base[:, :3, :3]).mean().as_matrix()
     force = firm_force(force_limit, estimator.priors)
     presses = presses_of(estimator, R0.T @ gravity_world, force)
+    probe, up = estimator.free(R0.T @ gravity_world), -gravity_world / np.linalg.norm(gravity_world)
+    arclengths = np.linspace(0.0, estimator.model.rod.length, 57)
+    axis = np.array([probe.p_at(s) for s in arclengths])
+    radii = np.array([float(estimator.model.rod.radius_at(s)) for s in arclengths])
+    heights = (Ts_world_base[:, :3, 3] @ up)[:, None] + (up @ Ts_world_base[:, :3, :3]) @ axis.T
+    floor = float(heights.min()) - FLOOR_MARGIN
     sought = (_stiffness(shapes, known, presses, std_compliance) if goal == "stiffness"
               else _pose_or_shape(goal, shapes, known))  # fmt: skip
     name, before, candidates, gains = sought.name, sought.before, sought.candidates, sought.gains
@@ -263,22 +281,40 @@ def suggest(
             Sigma = T[:3, :3] @ press.cov @ T[:3, :3].T
             gain = gains[i]
             if goal == "stiffness":
-                gain = before**2 - 1.0 / (1.0 / before**2 + press.on_compliance)
+                gain = candidates[i].hit * (before**2 - 1.0 / (1.0 / before**2 + press.on_compliance))
             elif goal != "extent":
                 gain = candidates[i].hit * (before**2 - _left(sought.P, sought.A, candidates[i], Sigma))
             gain -= 1e-6 * float(np.trace(Sigma))  # among equal ones the most accurate
             if best is None or gain > best[0]:
-                best = gain, candidates[i], press, T
+                at = axis @ T[:3, :3].T + T[:3, 3]
+                before_contact = arclengths < press.s - NEAR_CONTACT
+                if (at @ up).min() > floor and not any(
+                    _crosses(each, at[before_contact], radii[before_contact]) for each in shapes
+                ):
+                    best = gain, candidates[i], press, T
     if best is None or best[0] < (1.0 - (1.0 - MIN_GAIN) ** 2) * before**2:
         raise InputError(f"no touch that the base reaches improves the {name} by more than {100 * MIN_GAIN:g} %")
     gain, candidate, press, T = best
     Ts = np.array([pose(T[:3, :3], T[:3, 3] - T[:3, :3] @ by) for by in (np.zeros(3), press.light, press.firm)])
     after, cov = math.sqrt(max(before**2 - gain, 0.0)), T[:3, :3] @ press.cov @ T[:3, :3].T
-    probe = estimator.free(R0.T @ gravity_world)
-    axis = np.array([probe.p_at(s) for s in np.linspace(0.0, estimator.model.rod.length, 15)]) @ T[:3, :3].T + T[:3, 3]
     unit, scale = ("m/N", 1.0) if goal == "stiffness" else ("mm", MM)
-    return Suggestion(name, before / scale, after / scale, candidate.x, candidate.normal, press.s, force, Ts, cov, axis,
-                      unit=unit)  # fmt: skip
+    return Suggestion(name, before / scale, after / scale, candidate.x, candidate.normal, press.s, force, Ts, cov,
+                      axis[::4] @ T[:3, :3].T + T[:3, 3], unit=unit)  # fmt: skip
+
+
+def _crosses(shape: Shape, axis: Array, radii: Array) -> bool:
+    """Return whether an axis with points (k, 3) [m] and radii (k,) crosses the touched part of a plane or an edge."""
+    if shape.kind not in ("plane", "edge") or not len(axis):
+        return False
+    low, high = shape.extent.T
+    x = (axis - shape.p) @ shape.frame
+    if shape.kind == "plane":
+        (i,) = np.nonzero((x[:-1, 2] > 0.0) != (x[1:, 2] > 0.0))
+        share = (x[i, 2] / (x[i, 2] - x[i + 1, 2]))[:, None]
+        at = (x[i] + share * (x[i + 1] - x[i]))[:, :2]
+        return bool(((at >= low) & (at <= high)).all(axis=1).any())
+    beside = (x[:, 2] >= low[0]) & (x[:, 2] <= high[0])
+    return bool((beside & (np.linalg.norm(x[:, :2], axis=1) < radii)).any())
 
 
 class _Sought(NamedTuple):
@@ -300,7 +336,7 @@ def _stiffness(
         raise InputError("--goal stiffness needs --one-object and a design that states how far objects yield")
     places = list(of_object(*known)) if known is not None else [place for shape in shapes for place in of_shape(shape)]
     most = std**2 - 1.0 / (1.0 / std**2 + max((press.on_compliance for press in presses), default=0.0))
-    return _Sought("compliance of the object", std, places, [(1.0 - MIN_GAIN) * most] * len(places))
+    return _Sought("compliance of the object", std, places, [each.hit * (1.0 - MIN_GAIN) * most for each in places])
 
 
 def _pose_or_shape(goal: str, shapes: Sequence[Shape], known: tuple[KnownObject, ObjectPose] | None) -> _Sought:

@@ -15,7 +15,7 @@ from probedesign.core.errors import InputError
 from probedesign.core.frames import pose
 from probedesign.mapping.known_object import KnownObject, ObjectPose, locate_object
 from probedesign.mapping.next_touch import MAX_YIELD, presses_of, suggest
-from probedesign.mapping.shapes import ShapeFit
+from probedesign.mapping.shapes import Shape, ShapeFit
 from probedesign.simulation.simulated_run import base_rotation
 
 GRAVITY = np.array([0.0, 0.0, -9.81])
@@ -51,6 +51,7 @@ def test_the_pose_of_a_box_lies_in_its_region(box):
         e = error(truth, found)
         inside += e @ np.linalg.solve(found.cov, e) <= statistics.max_chi2(6, 0.05)
         assert found.rms[0] < 0.8 * math.sqrt(3.0) * STD  # of three axes each touch measures one
+        assert not found.contradicted  # of ten, one in a hundred times
     assert inside >= 7  # of 10 with a probability of 0.95 each, fewer happen once in 1000 times
 
 
@@ -59,6 +60,13 @@ def test_a_touch_far_from_the_object_is_left_out(box):
     p = touches.p.copy()
     p[4] += (0.0, 0.0, 0.08)
     assert "5" in locate_object(replace(touches, p=p), KnownObject.of(box), prior).left_out
+
+
+def test_touches_of_another_object_contradict_the_mesh(box):
+    touches, prior, _ = draw(box, 10, np.random.default_rng(3))
+    sphere = locate_object(touches, KnownObject.of(trimesh.creation.icosphere(3, 0.035)), prior)
+    assert sphere.contradicted and "contradict this object" in sphere.text
+    assert "contradict" not in locate_object(touches, KnownObject.of(box), prior).text
 
 
 def suggestion(estimator, goal, shapes=(), known=None, **options):
@@ -111,6 +119,31 @@ def test_the_extent_of_an_edge_is_sought_beyond_its_ends(estimator):
     assert not edge.extent[0, 0] <= place <= edge.extent[0, 1]
 
 
+def test_the_probe_stays_above_its_lowest_point_and_beside_the_shapes_of_the_map(estimator):
+    rng = np.random.default_rng(8)
+    touches, _ = draw_touches(object_of("edge", rng), 8, rng)
+    edge = replace(ShapeFit(touches).best_of("edge", touches, rng), p=np.zeros(3))
+    before = suggestion(estimator, "shapes", [edge])
+    # a place beyond the touched part is worth its probability: the touch is at an end, not 25 mm beyond it
+    assert edge.extent[0, 0] - 3e-3 <= float(edge.local(before.x)[0]) <= edge.extent[0, 1] + 3e-3
+    # a plane between base and contact, as wide as the probe is long
+    middle, along = before.axis_world[7], before.axis_world[8] - before.axis_world[6]
+    along /= np.linalg.norm(along)
+    across = np.linalg.svd(along[None])[2][1:]
+    frame = np.column_stack([*across, along])
+    wall = Shape(
+        "plane", middle, frame, 0.0, 1e-9 * np.eye(len(edge.cov)), 0.1 * np.array([[-1.0, 1.0]] * 2), ("w",) * 9
+    )
+    after = suggestion(estimator, "shapes", [edge, wall])
+    height = (after.axis_world - middle) @ along
+    crosses = np.abs((after.axis_world - middle) @ across.T).max(axis=1) < 0.1
+    assert not (crosses & (np.sign(height) != np.sign(height[0]))).any()
+    lowest = min(
+        0.0, *(p[2] for p in before.axis_world[:1])
+    )  # the lowest base of the run is at 0; the probe hangs level
+    assert after.axis_world[:, 2].min() > lowest - 0.02
+
+
 def test_what_no_touch_improves_is_one_line(estimator):
     with pytest.raises(InputError, match="no shape is known yet"):
         suggestion(estimator, "shapes")
@@ -134,3 +167,9 @@ def test_explore_locates_an_object_and_suggests(probe, house, tmp_path, capsys):
     written = json.loads((tmp_path / "out/shapes.json").read_text())
     assert np.shape(written["suggestion"]["T_world_base"]["firm"]) == (4, 4)
     assert np.shape(written["object"]["cov"]) == (6, 6)
+    # A goal that nothing improves ends in one line, and the map is written nevertheless.
+    out = tmp_path / "map"
+    assert run([*command[:-4], str(out), "--suggest", "--goal", "stiffness"]) == 2
+    streams = capsys.readouterr()
+    assert "needs --one-object" in streams.err.splitlines()[-1] and "point" in streams.out
+    assert "needs --one-object" in json.loads((out / "shapes.json").read_text())["no_suggestion"]
