@@ -253,6 +253,10 @@ class Listener(Generic[T]):
 
     def wait(self, timeout: float) -> None:
         """Return when a value is queued, or after the timeout [s]."""
+        # The first get of a queue takes its lock; where a signal or the scheduler then outlasts the timeout,
+        # CPython waits without end. A get that does not wait takes that lock.
+        with suppress(Empty):
+            return self._arrived.get_nowait()
         with suppress(Empty):
             self._arrived.get(timeout=timeout)
 
