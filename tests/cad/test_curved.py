@@ -84,7 +84,7 @@ def test_the_surface_read_from_step_lies_on_the_tube_between_the_knots_and_at_ki
 ) -> None:
     mount, solid, _ = drawn
     file = tmp_path / "probe.step"
-    file.write_bytes(step_bytes(cq.Assembly(solid, name="probe", color=cq.Color(1, 1, 1)), "probe.step", ""))
+    file.write_bytes(step_bytes(cq.Assembly(solid, name="probe", color=cq.Color(1, 1, 1)), "probe.step", "", None))
     read = cq.importers.importStep(str(file)).val()
     assert read.isValid() and read.Volume() == pytest.approx(solid.Volume(), rel=1e-9)
     g, shell = mount.geometry, read.Shells()[0]

@@ -249,16 +249,22 @@ def test_lines_of_json_stay_clean_beside_a_page(bundle, capfd):
 
 
 @pytest.fixture(scope="module")
-def tab(view):
-    """The page in a headless browser, opened once: it is drawn by the processor."""
+def running():
+    """A headless browser; playwright runs once in a thread."""
     with browser(*SOFTWARE) as running:
-        tab = running.new_page(viewport={"width": 1000, "height": 480})
-        tab.foreign = []
-        tab.on("request", lambda request: tab.foreign.append(request.url))
-        tab.goto(view.url, timeout=PATIENCE)
-        tab.get_by_text("Events").wait_for(timeout=PATIENCE)
-        yield tab
-        tab.close()  # a browser that still draws takes half a minute to close
+        yield running
+
+
+@pytest.fixture(scope="module")
+def tab(view, running):
+    """The page, opened once: it is drawn by the processor."""
+    tab = running.new_page(viewport={"width": 1000, "height": 480})
+    tab.foreign = []
+    tab.on("request", lambda request: tab.foreign.append(request.url))
+    tab.goto(view.url, timeout=PATIENCE)
+    tab.get_by_text("Events").wait_for(timeout=PATIENCE)
+    yield tab
+    tab.close()  # a browser that still draws takes half a minute to close
 
 
 def test_a_browser_shows_status_and_sends_commands(view, tab):
@@ -303,7 +309,7 @@ def test_a_browser_that_is_cut_off_shows_no_value_as_current(view, tab):
     banner.wait_for(state="hidden", timeout=PATIENCE)
 
 
-def test_a_calibration_is_guided_by_the_page(estimator, tmp_path):
+def test_a_calibration_is_guided_by_the_page(estimator, running, tmp_path):
     """What is next, the state of the rest, and the result; it can be finished from the page once it is enough."""
     model, requests = estimator.model, CommandQueue()
     source = SimulatedSource(model, "orientations=7&speed=max&rate_hz=25")
@@ -319,7 +325,7 @@ def test_a_calibration_is_guided_by_the_page(estimator, tmp_path):
             if block.time[-1] > until:
                 return
 
-    with contextlib.closing(view), browser(*SOFTWARE) as running:
+    with contextlib.closing(view):
         tab = running.new_page(viewport={"width": 1000, "height": 800})
         feed(1.2)
         tab.goto(view.url, timeout=PATIENCE)
