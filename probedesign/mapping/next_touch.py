@@ -350,7 +350,7 @@ def _pose_or_shape(goal: str, shapes: Sequence[Shape], known: tuple[KnownObject,
         wide = [shape for shape in shapes if goal == "shapes" or shape.kind in ("plane", "edge")]
         if not wide:
             raise InputError(f"--goal {goal}: no shape is known yet; touch one object at three or more places first")
-        shape = max(wide, key=lambda one: _extent_std(one)[0] if goal == "extent" else one.rms)
+        shape = max(wide, key=lambda each: _extent_std(each)[0] if goal == "extent" else each.rms)
         free = list(KINDS[shape.kind].free)
         P, A = shape.cov[np.ix_(free, free)], by_parameters(shape, shape.ends)[:, :, free].reshape(-1, len(free))
         A = A / math.sqrt(len(shape.ends))

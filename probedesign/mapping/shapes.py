@@ -600,7 +600,7 @@ class ShapeFit:
                 grown = [
                     (sheet(np.append(inside, k), angle), k) for k in of_face if near[k] and k not in inside
                 ]  # fmt: skip
-                better = max(grown, key=lambda one: one[0][0], default=None)
+                better = max(grown, key=lambda candidate: candidate[0][0], default=None)
                 if better is None or better[0][0] < odds:
                     break
                 (odds, angle, variance), k = better
