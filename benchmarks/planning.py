@@ -13,14 +13,14 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.timing import print_table
-from probedesign import pipeline
+from probedesign import build_probe, data_of, identify
 from probedesign.campaigns import read_campaign
 from probedesign.core.frames import Array, inverse, wrench_map
 from probedesign.core.units import MM
 from probedesign.design import Design, load_design
 from probedesign.estimation.model import Tolerances
 from probedesign.planning.candidates import READINGS, STD_MARK, CandidateTest, Instruments
-from probedesign.planning.plan import Plan, tables
+from probedesign.planning.plan import Plan, make_plan, tables
 from probedesign.prediction.touches import DIRECTIONS
 from probedesign.reports.plan_page import set_up_chart
 from probedesign.rod.contact import solve_contact
@@ -43,8 +43,9 @@ def report() -> None:
     rows = []
     for name in ("large", "small"):
         design = load_design(ROOT / f"designs/{name}.toml")
+        probe = build_probe(design)
         for bench, instruments in BENCHES.items():
-            plan = pipeline.plan(design, MINUTES, NAMES, instruments, 4)
+            plan = make_plan(probe.model, probe.flange_volume, MINUTES, NAMES, instruments, 4)
             rows += _compare(f"{name}, {bench}", design, plan)
     print_table(f"Plans of {MINUTES:g} minutes, {CAMPAIGNS} simulated campaigns of each",
                 ["plan", "ok", "parameter", "expected std", "mean stated std", "stated / expected", "RMS error",
@@ -55,11 +56,11 @@ def report() -> None:
 def _compare(label: str, design: Design, plan: Plan) -> list[list[str]]:
     """Return the rows of one plan; E is compared as that of the material, because the dimensions are drawn."""
     found: dict[str, list[tuple[float, float]]] = {name: [] for name in NAMES}
-    ok = 0
+    ok, probe = 0, build_probe(design)
     for seed in range(CAMPAIGNS):
         with tempfile.TemporaryDirectory() as folder:
             truth = fill(Path(folder), plan, seed)
-            identified = pipeline.identify(design, read_campaign(Path(folder)), NAMES)
+            identified = identify(data_of(read_campaign(Path(folder)), probe.model, probe.flange_volume), NAMES)
         ok += identified.result == "ok"
         true = {"E": truth.rod.youngs_modulus / 1e6, "root": truth.rod.rigid_length / float(truth.rod.radius[0])}
         for name in NAMES:
@@ -157,7 +158,7 @@ def draw_set_ups() -> None:
     """Write docs/pictures/setup-*.svg: two free tests, a weight and two touches of the large probe."""
     from probedesign.planning.candidates import Bench
 
-    bench = Bench(pipeline.load_probe(ROOT / "designs/large.toml").model, Instruments())
+    bench = Bench(build_probe(load_design(ROOT / "designs/large.toml")).model, Instruments())
     every = {one.name: one for one in bench.candidates()}
     drawn = {"hang": "hang", "turned": "turned-tip-down", "weight": "weight-120-2", "touch-x": "touch-97.5-+x-13.5",
              "touch-y": "touch-97.5--y-24.5"}  # fmt: skip

@@ -18,7 +18,14 @@ from probedesign.core.units import MM
 from probedesign.design import Design
 from probedesign.geometry import Axis, ProbeGeometry
 from probedesign.geometry.mass import MassProperties, flexible_part
-from probedesign.mount import Mount, T_sensor_robotflange, build_geometry, held_tolerances, root_radii
+from probedesign.mount import (
+    Mount,
+    T_sensor_robotflange,
+    build_geometry,
+    held_tolerances,
+    mount_part_masses,
+    root_radii,
+)
 
 if TYPE_CHECKING:
     from probedesign.estimation.estimator import Estimator
@@ -61,6 +68,12 @@ class Probe(Displayed):
     def p_base_com(self) -> Array:
         """Return the centre of mass of the undeformed flexible part in the base frame [m], (3,)."""
         return self.body.p_com
+
+    @property
+    def flange_volume(self) -> float:
+        """Return the volume of the printed flange, which is weighed with the flexible part [m³]."""
+        adapter = Mount.of(self.design).sensor_adapter
+        return mount_part_masses(self.geometry, adapter, self.design.density.value)["flange"].volume
 
     @cached_property
     def rod(self) -> "Rod":

@@ -5,21 +5,15 @@ import re
 from html import escape
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from probedesign import pipeline
-from probedesign.campaigns import read_campaign
 from probedesign.cli import demo
 from probedesign.cli.main import run
+from probedesign.cli.options import estimator_of
+from probedesign.design import load_design
 from probedesign.design.io import new, notes_of, render_design
-from probedesign.live.blocks import iter_readings
-from probedesign.live.processing.chain import ProcessingOptions
-from probedesign.live.recordings.csv import write_recording
-from probedesign.live.sources.replay import RecordingOptions
-from probedesign.live.sources.sim import SimulatedSource
-from probedesign.simulation.campaign_folder import make_campaign
-from probedesign.simulation.ground_truth import CampaignPlan
+from probedesign.frozen_probe import deploy_model
+from probedesign.probe import build_probe
 
 LARGE = Path(__file__).parents[1] / "designs/large.toml"
 
@@ -65,36 +59,12 @@ def test_design_predict_deploy_and_live(workplace, capsys):
     assert prediction["fingerprint"] == json.loads((workplace / frozen).read_text())["fingerprint"]
 
 
-def test_the_pipeline_is_the_whole_chain_and_writes_no_files(workplace):
-    probe = pipeline.load_probe(LARGE)
-    assert pipeline.check(probe.design).fits
-    assert pipeline.predict(probe).fingerprint == probe.model.fingerprint
-    campaign = read_campaign(make_campaign(probe.model, workplace / "data", CampaignPlan("stage", 1)).folder)
-    inputs = sorted(path for path in workplace.rglob("*") if path.is_file())
-
-    found = pipeline.identify(probe.design, campaign, ["E"])
-    assert found.found[0].identified
-    frozen = pipeline.freeze(probe)
-    assert frozen["fingerprint"] == probe.model.fingerprint
-    assert sorted(path for path in workplace.rglob("*") if path.is_file()) == inputs
-
-    bundle = workplace / "large.probe.json"
-    bundle.write_text(json.dumps(frozen))
-    estimator = pipeline.load_estimator(bundle, exact_model=True, friction=0.0)
+def test_options_of_the_estimator_change_its_priors(workplace):
+    """An exact model still drifts: a reading that the drift alone explains must not be located."""
+    model = build_probe(load_design(LARGE)).model
+    estimator = estimator_of(deploy_model(model, workplace), None, exact_model=True, friction=0.0)
     assert estimator.model.friction == 0.0
     assert estimator.priors.youngs_modulus == 0.0 and estimator.priors.drift_steps > 0.0
-    report = pipeline.validate(pipeline.load_estimator(bundle), campaign, False, lambda step, share: None)
-    assert report.coverage.touches > 0
-
-    source = SimulatedSource(estimator.model, "force_mN=20&seconds=2&rate_hz=50&speed=max")
-    readings = list(iter_readings(source))
-    recording = workplace / "recording.csv"
-    write_recording(recording, np.array([r.time for r in readings]), np.array([r.wrench_sensor for r in readings]))
-    estimates = pipeline.estimate(estimator, recording, None, 5, method="ml", options=RecordingOptions())
-    assert len(estimates.rows) == len(readings) // 5
-    source = SimulatedSource(estimator.model, "force_mN=20&seconds=2&rate_hz=50&speed=max")
-    updates = list(pipeline.live(estimator, source, ProcessingOptions(count=3), print))
-    assert len(updates) == 3
 
 
 def test_deploy_replaces_frozen_probes_only(workplace, capsys):

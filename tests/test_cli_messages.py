@@ -139,16 +139,16 @@ def missing() -> str:
 
 def replace_export(patch: pytest.MonkeyPatch) -> None:
     """Replace the export of parts."""
-    from probedesign import pipeline
+    from probedesign import cad
 
     reason = str(MissingDependencyError.of_extra("export", "CadQuery", "cad"))
     patch.setattr("probedesign.cli.demo._begin_parts", lambda design, folder, skipped: skipped.append(reason))
-    patch.setattr(pipeline, "export", lambda *_: manifest())
+    patch.setitem(vars(cad), "export_parts", lambda *_: manifest())  # setattr would import CadQuery
     coupon = {
         "folder": "exports/a/coupon", "files": ["calipers.csv", "coupon.step"], "steps_mm": [12.0, 2.0],
         "step_height_mm": 8.0, "rod_mm": [7.0, 70.0],
     }  # fmt: skip
-    patch.setattr(pipeline, "export_coupon", lambda *_: coupon)
+    patch.setitem(vars(cad), "export_coupon", lambda *_: coupon)
 
 
 def masked(text: str) -> list[str]:

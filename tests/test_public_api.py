@@ -75,8 +75,8 @@ def test_no_public_name_loads_cad():
 @pytest.mark.parametrize(
     ("code", "most"),
     [
-        ("import probedesign.cli.export, probedesign.pipeline, probedesign.cad.export", 56),
-        ("import probedesign.cli.main, probedesign.cli.export, probedesign.pipeline, probedesign.cad.mesh", 45),
+        ("import probedesign.cli.export, probedesign.cad.export", 55),
+        ("import probedesign.cli.main, probedesign.cli.export, probedesign.cad.mesh", 44),
     ],
     ids=["whole", "one STL file"],
 )
@@ -99,7 +99,7 @@ def test_a_studio_loads_nothing_of_live_and_at_most_88_modules():
 
 def test_an_estimator_loads_no_design_and_no_drawing():
     loaded = own(modules_after("import probedesign; probedesign.load_estimator"))
-    assert not {"probedesign.design.schema", "probedesign.probe", "probedesign.pipeline", "probedesign.cad"} & loaded
+    assert not {"probedesign.design.schema", "probedesign.probe", "probedesign.cad"} & loaded
     assert len(loaded) <= 60
 
 
@@ -123,9 +123,3 @@ def test_one_estimate_runs_python_code_of_at_most_12_modules():
         sys.setprofile(None)
     assert found.ok and "estimation/estimator.py" in ran
     assert len(ran) <= 12, sorted(ran)
-
-
-def test_the_pipeline_loads_nothing_before_a_step_is_used():
-    assert own(modules_after("import probedesign.pipeline")) == {
-        "probedesign", "probedesign.core", "probedesign.core.notebook", "probedesign.pipeline"
-    }  # fmt: skip

@@ -161,9 +161,10 @@ def export_parts(
         The manifest, with the output folder under `folder`.
 
     Raises:
-        InputError: the folder cannot be written, or the mount cannot clamp the probe.
+        InputError: the folder cannot be written, the mount cannot clamp the probe, or the sensor's holes are not known.
         CheckFailedError: a part disagrees with its closed form; nothing is written.
     """
+    design.sensor_model.check_holes_known()
     folder = Path(os.path.abspath(out or Path("exports") / design.name))
     check_target(folder)
     check = check_print(design)

@@ -125,6 +125,7 @@ def export_part(design: Design, part: str, out: Path | None = None) -> dict[str,
     Returns the file, its volume and its scale; raises what `export_parts` raises, and an InputError where the file
     belongs to an export of another design.
     """
+    design.sensor_model.check_holes_known()
     folder = Path(os.path.abspath(out or Path("exports") / design.name))
     check_target(folder)
     shape = printed_solid(design, part)

@@ -67,9 +67,8 @@ def calibrate(
         view_port: port of the page, or the next free one.
         open_: open the page in a browser, if the output is a terminal.
     """
-    from probedesign import pipeline
     from probedesign.estimation.estimator import Estimator
-    from probedesign.frozen_probe import write_frozen
+    from probedesign.frozen_probe import load_estimator, write_frozen
     from probedesign.live.blocks import limit_duration
     from probedesign.live.poses.open import open_poses
     from probedesign.live.processing.commands import CommandQueue
@@ -86,7 +85,7 @@ def calibrate(
     ):
         if wrong:
             raise InputError(message)
-    estimator = Estimator(tool_model()) if bundle is None else pipeline.load_estimator(bundle, manifest)
+    estimator = Estimator(tool_model()) if bundle is None else load_estimator(bundle, manifest)
     model, beside = estimator.model, _folder(bundle)
     out = out or beside / ("tool.calibration.json" if tool else f"{model.name}.calibrated.probe.json")
     check_overwrite(out, force)

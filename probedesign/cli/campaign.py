@@ -52,10 +52,19 @@ def plan(
         held_out: number of touches that identify leaves out and validate judges by.
         force: replace a plan without measured values.
     """
-    from probedesign import pipeline
     from probedesign.design import load_design
     from probedesign.identification.parameters import check_requested
-    from probedesign.planning.plan import CHECKLIST, PAGE, PLAN, check_target, checklist_text, tables, write_folder
+    from probedesign.planning.plan import (
+        CHECKLIST,
+        PAGE,
+        PLAN,
+        check_target,
+        checklist_text,
+        make_plan,
+        tables,
+        write_folder,
+    )
+    from probedesign.probe import build_probe
     from probedesign.reports.plan_page import plan_page
 
     if stage_mm == 0.0:
@@ -69,10 +78,14 @@ def plan(
         raise InputError(f"--held-out {held_out} must lie in 0 ... 40")
     instruments = _instruments(stage_mm if stage else None, cameras_mm, weights_g, turn, balance_g, calipers_mm)
     start = load_design(design)
+    if "model" not in start.sensor.model_fields_set:
+        raise InputError(f"{start.name}: [sensor] names no model; a plan needs the noise and the load limits of the "
+                         'sensor on the bench, such as model = "nano17"')  # fmt: skip
     folder = Path("data") / start.name if out is None else out
     check_target(folder, force)
     with show_progress("planning"):
-        planned = pipeline.plan(start, minutes, names, instruments, held_out)
+        probe = build_probe(start)
+        planned = make_plan(probe.model, probe.flange_volume, minutes, names, instruments, held_out)
         contents = [(name, text.encode()) for name, text in tables(planned).items()]
         contents += [(CHECKLIST, checklist_text(planned, str(folder)).encode()),
                      (PAGE, plan_page(planned, str(folder))),
@@ -175,7 +188,8 @@ def campaign(
             and scatter of the stiffness.
         force: replace an existing simulated campaign.
     """
-    from probedesign import pipeline
+    from probedesign.design import load_design
+    from probedesign.probe import build_probe
     from probedesign.simulation.campaign_folder import make_campaign
     from probedesign.simulation.ground_truth import CampaignPlan
 
@@ -185,7 +199,7 @@ def campaign(
     plan = CampaignPlan("stage" if stage else "cameras", seed, si(youngs_modulus_mpa, MPA), si(shear_modulus_mpa, MPA),
                 si(marker_noise_mm, MM), readings, exact, calibration,
                 friction, friction_spread, hold_out, flaws)  # fmt: skip
-    made = make_campaign(pipeline.load_probe(design).model, out, plan, force)
+    made = make_campaign(build_probe(load_design(design)).model, out, plan, force)
     if as_json:
         print_json({"folder": made.folder, "files": made.files, "tests": made.tests})
     else:

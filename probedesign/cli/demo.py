@@ -111,12 +111,12 @@ def run_demo(folder: Path, force: bool, show: Callable[[str], object]) -> dict[s
     made[str(design)] = "the design; edit it and run the chain again"
     import numpy as np
 
-    from probedesign import pipeline
-    from probedesign.frozen_probe import deploy_model
+    from probedesign.frozen_probe import deploy_model, load_estimator
+    from probedesign.probe import build_probe
     from probedesign.reports.recording_page import STYLE, recording_page, replay_element
     from probedesign.web.home import write_home
 
-    probe = pipeline.load_probe(design)
+    probe = build_probe(drafted)
 
     def write_page(working: str) -> Path:
         extra = f'<div class="figures">{"".join(sections.values())}</div>'
@@ -138,7 +138,7 @@ def run_demo(folder: Path, force: bool, show: Callable[[str], object]) -> dict[s
     show(page.absolute().as_uri())
     exporting = _begin_parts(design, folder, skipped)
     begin("predicting (the first run compiles the rod and the estimator, half a minute)")
-    prediction = pipeline.predict(probe)
+    prediction = probe.predict()
     for file in write_files(folder, prediction_files(probe, prediction)):
         made[str(file)] = "predicted sensitivity and contact error"
     begin("bending the probe to a whisker")
@@ -147,7 +147,7 @@ def run_demo(folder: Path, force: bool, show: Callable[[str], object]) -> dict[s
     bundle = deploy_model(probe.model, folder / f"{NAME}.probe.json")
     made[str(bundle)] = "the frozen probe for estimate and live"
     begin("simulating a recording and locating its contacts")
-    estimator = pipeline.load_estimator(bundle)
+    estimator = load_estimator(bundle)
     recording, contacts = folder / "recording.csv", folder / "contacts.csv"
     estimates = _simulate(estimator, recording)
     write_files(folder, [(contacts.name, estimates.csv().encode()), ("touches.html", recording_page(estimates))])
@@ -215,8 +215,8 @@ def _whisker(straight: "Probe", folder: Path, finish: Callable[..., None]) -> di
 
 #: Program of the process that exports the parts, on a core of its own; it prints the names of their files.
 _PARTS = """import json, pathlib, sys
-from probedesign import load_design, pipeline
-manifest = pipeline.export(load_design(sys.argv[1]), pathlib.Path(sys.argv[2]), lambda step: None)
+from probedesign import cad, load_design
+manifest = cad.export_parts(load_design(sys.argv[1]), pathlib.Path(sys.argv[2]))
 print(json.dumps(list(manifest["files"])))"""
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from probedesign.cli.console import print_json, print_note, show_progress
-from probedesign.cli.options import FrozenProbe, JsonOutput, Method, Tare
+from probedesign.cli.options import FrozenProbe, JsonOutput, Method, Tare, estimator_of
 from probedesign.core.errors import InputError
 from probedesign.core.files import check_overwrite, write_atomically
 
@@ -63,9 +63,8 @@ def estimate(
         friction: standard deviation of tangential over normal force, instead of BUNDLE's. 0: the force is normal to
             the surface; inf: any direction.
     """
-    from probedesign import pipeline
     from probedesign.live.processing.tare import parse_tare
-    from probedesign.live.run import describe_counts, warm_up
+    from probedesign.live.run import describe_counts, estimate_recording, warm_up
     from probedesign.live.sources.replay import RecordingOptions, check_readable
     from probedesign.reports.recording_page import recording_page, touches_in
 
@@ -77,13 +76,14 @@ def estimate(
         raise InputError(f"--out and --page both name {out}; choose two files")
     check_readable(recording)
     window, zero = parse_tare(tare_s, tare)
-    estimator = pipeline.load_estimator(bundle, manifest, exact_model, friction)
+    estimator = estimator_of(bundle, manifest, exact_model, friction)
     with show_progress("loading the rod kernels"):
         warm_up(estimator, print_note)
     options = RecordingOptions(topic, moment_unit=moment_unit, other_probe=other_probe)
-    estimates = pipeline.estimate(
-        estimator, recording, window, average, method=method, mend=mend, options=options, progress=_track, zero=zero
-    )
+    estimates = estimate_recording(
+        estimator, recording, window, average, progress=_track, allow_incomplete=mend, options=options, method=method,
+        zero=zero,
+    )  # fmt: skip
     for note in estimates.notes:
         print_note(note)
     if out is not None:

@@ -161,10 +161,10 @@ def _explorations(
 
     One object has the same prior of its compliance for all of them.
     """
-    from probedesign import pipeline
+    from probedesign.frozen_probe import load_estimator
     from probedesign.mapping.explore import Exploration
 
-    loaded = [pipeline.load_estimator(path, manifest) for path in bundles]
+    loaded = [load_estimator(path, manifest) for path in bundles]
     check_names([each.model.name for each in loaded])
     softest = max(each.priors.object_compliance for each in loaded)
     priors = [base.base(each.model).apply_to(each.priors) for each in loaded]

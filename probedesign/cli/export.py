@@ -41,13 +41,13 @@ def check(design: DesignFile, /, *, as_json: JsonOutput = False) -> int:
     Exit status 1 if a rule finds an error; warnings do not change it. The rules, their sources and their confidence:
     docs/printing.md.
     """
-    from probedesign import pipeline
     from probedesign.design import load_design
     from probedesign.frozen_probe import check_manifest
     from probedesign.mount import Mount, root_contradiction
+    from probedesign.printing.check import check_print
 
     checked = load_design(design)
-    report, root = pipeline.check(checked), root_contradiction(checked)
+    report, root = check_print(checked), root_contradiction(checked)
     manifest, stale = exports_of(design) / checked.name / "manifest.json", ""
     if manifest.exists() and not report.errors:
         try:
@@ -91,7 +91,7 @@ def export(
         out: output folder. Default: exports/NAME.
         only: write the STL file of this part only.
     """
-    from probedesign import pipeline
+    from probedesign import cad
     from probedesign.design import load_design
     from probedesign.probe import build_probe
 
@@ -99,7 +99,7 @@ def export(
     folder = out or exports_of(design) / drawn.name
     if only is not None:
         with _uncollected():
-            written = pipeline.export_part(drawn, only, folder)
+            written = cad.export_part(drawn, only, folder)
         if as_json:
             print_json(written)
         else:
@@ -108,7 +108,7 @@ def export(
     from probedesign.web.home import write_home  # an export of one part loads no model of the probe
 
     with _uncollected():
-        manifest = pipeline.export(drawn, folder, print_step)
+        manifest = cad.export_parts(drawn, folder, print_step)
     write_home(folder, build_probe(drawn).model, str(design))
     if as_json:
         print_json(manifest)
@@ -175,13 +175,14 @@ def deploy(design: DesignFile, /, *, out: Path | None = None, as_json: JsonOutpu
     Args:
         out: output file, or a folder for NAME.probe.json. Default: exports/NAME.
     """
-    from probedesign import pipeline
+    from probedesign.design import load_design
     from probedesign.frozen_probe import deploy_model
     from probedesign.identification.design_update import design_diff
+    from probedesign.probe import build_probe
     from probedesign.web.home import refresh_home
 
     with show_progress("freezing the probe"):
-        probe = pipeline.load_probe(design)
+        probe = build_probe(load_design(design))
         exports = exports_of(design) / probe.design.name
         path = deploy_model(probe.model, out or exports)
         identified = exports / "identification/identification.json"
@@ -215,7 +216,8 @@ def twin(
         out: output folder. Default: exports/NAME/twin.
         links: number of links of the chain, even. Default: 10, or 14 of a curved probe.
     """
-    from probedesign import pipeline
+    from probedesign.design import load_design
+    from probedesign.probe import build_probe
     from probedesign.simulation.twin import FORMATS, twin_files
     from probedesign.web.home import refresh_home
 
@@ -224,7 +226,7 @@ def twin(
         if name not in FORMATS:
             raise InputError(f"--format {formats}: {name!r} is not a format; choose out of {', '.join(FORMATS)}")
     with show_progress("writing the twin"):
-        probe = pipeline.load_probe(design)
+        probe = build_probe(load_design(design))
         folder = exports_of(design) / probe.design.name / "twin" if out is None else out
         check_folder(folder)
         files = write_files(folder, twin_files(probe.model, chosen, links).items())

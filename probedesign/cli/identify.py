@@ -47,9 +47,10 @@ def identify(
             exports/NAME/identification.
         page: write the page with residuals.
     """
-    from probedesign import pipeline
     from probedesign.campaigns import read_campaign
     from probedesign.design import load_design
+    from probedesign.identification.identify import data_of
+    from probedesign.identification.identify import identify as fit
     from probedesign.identification.parameters import check_requested
     from probedesign.probe import build_probe
     from probedesign.web.home import refresh_home
@@ -62,10 +63,11 @@ def identify(
     with show_progress("identifying"):
         start = load_design(design)
         names = check_requested(names)
-        identified = pipeline.identify(start, read_campaign(data), names, accept)
+        probe = build_probe(start)
+        identified = fit(data_of(read_campaign(data), probe.model, probe.flange_volume), names, accept)
         folder = exports_of(design) / start.name / "identification" if folder is None else folder
         files = write_files(folder, _files(identified, page))
-        refresh_home(build_probe(start).model, design)
+        refresh_home(probe.model, design)
     if not as_json:
         _print(identified)
         print("wrote", ", ".join(map(str, files)))

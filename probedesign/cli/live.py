@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 from probedesign.cli.console import interrupt_on_termination
-from probedesign.cli.options import FrozenProbe, Method, Tare, check_names
+from probedesign.cli.options import FrozenProbe, Method, Tare, check_names, estimator_of
 from probedesign.core.errors import InputError
 
 if TYPE_CHECKING:
@@ -120,7 +120,6 @@ def live(
         lines: print one line per estimate on a terminal, too.
         log: append every message with its time to this file.
     """
-    from probedesign import pipeline
     from probedesign.live.datagrams import parse_listen_address
     from probedesign.live.outputs.guard import Limits
     from probedesign.live.outputs.options import OutputOptions
@@ -135,7 +134,7 @@ def live(
     bundles = (bundle, *more)
     if manifest is not None and more:
         raise InputError("--manifest belongs to one probe; check each probe in a run of its own")
-    loaded = [pipeline.load_estimator(each, manifest, exact_model, friction) for each in bundles]
+    loaded = [estimator_of(each, manifest, exact_model, friction) for each in bundles]
     poses = pose or ["fixed"] * len(bundles)
     _check_pairs([estimator.model.name for estimator in loaded], source, poses)
     estimators = {estimator.model.name if more else "": estimator for estimator in loaded}
@@ -224,13 +223,12 @@ def _run(
         as_json: print JSON.
         log: file to which every message is appended.
     """
-    from probedesign import pipeline
     from probedesign.live.outputs.guard import Guard, GuardChannel, GuardedSource
     from probedesign.live.outputs.options import open_publisher
     from probedesign.live.outputs.sinks import LogFile, ProbeSink, SinkGroup, StderrSink
     from probedesign.live.poses.open import open_poses
     from probedesign.live.processing.commands import CommandQueue, DatagramInput, KeyInput, SharedCommands
-    from probedesign.live.run import merged, warm_up
+    from probedesign.live.run import estimate_stream, merged, warm_up
     from probedesign.live.sources.source import open_source
 
     logs = () if log is None else (LogFile(log),)
@@ -265,7 +263,7 @@ def _run(
         if outputs.terminal:
             inputs.enter_context(closing(KeyInput(commands, sinks.log)))
         streams = [
-            pipeline.live(estimator, source, processing, part.log, part, queue, known)
+            estimate_stream(estimator, source, processing, part.log, part, queue, known)
             for (estimator, _, part), source, known, queue in zip(runs, readings, poses, queues, strict=True)
         ]
         updates = merged(streams, lambda: commands.put("stop"))

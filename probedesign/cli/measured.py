@@ -21,11 +21,11 @@ def coupon(design: DesignFile, /, *, out: Path | None = None, as_json: JsonOutpu
     Args:
         out: output folder. Default: exports/NAME/coupon.
     """
-    from probedesign import pipeline
+    from probedesign import cad
     from probedesign.design import load_design
 
     drawn = load_design(design)
-    manifest = pipeline.export_coupon(drawn, out or exports_of(design) / drawn.name / "coupon")
+    manifest = cad.export_coupon(drawn, out or exports_of(design) / drawn.name / "coupon")
     if as_json:
         print_json(manifest)
         return
@@ -69,8 +69,8 @@ def measured(
         out: write a changed copy of the design to this file instead.
         force: replace tolerances that were set before, or the file of --out, which is kept as FILE.old.
     """
-    from probedesign import pipeline
     from probedesign.design import load_design
+    from probedesign.estimation.model import BOW_SHARE
     from probedesign.identification import measured_print
     from probedesign.identification.design_update import write_changes
     from probedesign.mount import build_geometry
@@ -85,7 +85,9 @@ def measured(
                          "--bow-mm X Y, one after the other")  # fmt: skip
     document: dict[str, Any]
     if axis is not None:
-        fitted = pipeline.measure_axis(start, axis)
+        again = "bow_mm" in start.probe.measured
+        before = BOW_SHARE * start.probe.length_mm if again else build_probe(start).tolerances.bow_mm
+        fitted = measured_print.fit_axis(start, measured_print.read_outline(axis), before)
         factor = (fitted.factor, fitted.factor_std) if fitted.factor_std > 0.0 else None
         changes = measured_print.axis_changes(start, fitted.bow_mm, fitted.bow_std_mm, factor, f"measured {day}")
         document = fitted.as_dict()
@@ -100,7 +102,8 @@ def measured(
         changes, document = measured_print.scale_changes(scale, day), scale.as_dict()
         what, lines = _scale_lines(scale)
     elif calipers is not None:
-        fit = pipeline.measure(start, measured_print.read_calipers(calipers, start), calipers_std_mm)
+        readings, before = measured_print.read_calipers(calipers, start), build_probe(start).tolerances
+        fit = measured_print.fit_diameters(start, before, readings, calipers_std_mm)
         changes, document = measured_print.diameter_changes(fit, start, day), fit.as_dict()
         what = f"{plural(fit.readings, 'reading')}; the former values are kept as comments"
         lines = [*_diameter_lines(fit), "the bow is not seen: diameters, in however many directions, are those of a "

@@ -149,8 +149,8 @@ def new(
 
 def summary(design: "Design") -> dict[str, Any]:
     """Return the main figures of a design: mass, sag, print check and expected contact error."""
-    from probedesign import pipeline
     from probedesign.prediction.predict import errors_over_directions, predict_touch, tip_sag_mm
+    from probedesign.printing.check import check_print
     from probedesign.probe import build_probe
 
     probe = build_probe(design)
@@ -169,7 +169,7 @@ def summary(design: "Design") -> dict[str, Any]:
             f"RMS, {1e3 * force_N:g} mN at {fraction:g} of the length, one reading "
             f"of {design.sensor.averaging_samples} samples ({touch.result})"
         )
-    check = pipeline.check(design)
+    check = check_print(design)
     return {
         "mass_g": 1e3 * probe.mass,
         "sag_mm": tip_sag_mm(estimator),

@@ -162,22 +162,23 @@ def _run(
     search: "OptimizationProblem", path: Path, force: bool, draws: int, seed: int, on_progress: "OnProgress"
 ) -> "OptimizeResult":
     """Write the optimum to `path` with a comparison, checked by a Monte Carlo simulation of some draws per case."""
-    from probedesign import pipeline
     from probedesign.design.io import write_design
-    from probedesign.optimization.optimum import OptimizeResult, design_text
+    from probedesign.optimization.optimum import OptimizeResult, confirm, design_text, optimum
     from probedesign.probe import build_probe
     from probedesign.reports.comparison_page import compare, comparison_page
     from probedesign.web.home import refresh_home
 
     check_overwrite(path, force)
     check_writable(path)  # before the search, which takes a minute
-    best = pipeline.optimize(search, path.stem, on_progress)
+    best = optimum(search, path.stem, on_progress)
     write_design(design_text(search, best), path, force)  # first: the steps below may be interrupted or fail
     refresh_home(build_probe(best.design).model, path)
     files, confirmed = [path], None
     try:
         if draws:
-            confirmed = pipeline.confirm(search, best, draws, seed, on_progress)
+            designs = [None if best.before.error_mm is None else search.start, best.design]  # a start may buckle
+            before, after = (each and confirm(each, best.task, draws, seed, on_progress) for each in designs)
+            confirmed = before, after
     except InputError as error:
         raise InputError(f"{path} is written, but {error}") from None
     page = comparison_page(compare([search.start, best.design], best.task), best.task)

@@ -18,6 +18,7 @@ from probedesign.core.errors import InputError
 from probedesign.core.files import EXPORTS, chosen_exports, file_in
 
 if TYPE_CHECKING:
+    from probedesign.estimation.estimator import Estimator
     from probedesign.estimation.model import ProbeModel
     from probedesign.live.poses.base_poses import BasePoses
     from probedesign.live.processing.chain import ProcessingOptions
@@ -62,6 +63,23 @@ def frozen_probe(given: Path) -> Path:
 def uncalibrated_probe(given: Path) -> Path:
     """Return the frozen probe of an argument as `frozen_probe`, without its calibration."""
     return _frozen_probes(given)[0]
+
+
+def estimator_of(bundle: Path, manifest: Path | None, exact_model: bool, friction: float | None) -> "Estimator":
+    """Return the estimator of a frozen probe with the options of a command.
+
+    With `exact_model` the drift of the sensor's bias still counts: a reading that it alone explains is not located.
+
+    Raises:
+        InputError: the file is unreadable, or the friction is NaN or below 0.
+    """
+    from probedesign.estimation.model import Tolerances
+    from probedesign.frozen_probe import load_estimator
+
+    estimator = load_estimator(bundle, manifest)
+    if exact_model:
+        estimator = estimator.with_tolerances(Tolerances.exact_probe(estimator.model))
+    return estimator if friction is None else estimator.with_friction(friction)
 
 
 def check_names(names: Sequence[str]) -> None:

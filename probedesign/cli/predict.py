@@ -1,6 +1,7 @@
 """`probedesign predict`: predict sensitivity and contact error of a design."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -38,20 +39,26 @@ def predict(
         touches: number of touches of one point that are fused while the base presses on.
         moments_about: fuse the moments about this origin only. Default: forces and moments.
     """
-    from probedesign import pipeline
+    from probedesign.design import load_design
     from probedesign.mount import root_contradiction
-    from probedesign.prediction.fused import PressSchedule
+    from probedesign.prediction.fused import SHOWN_N, PressSchedule, worst
+    from probedesign.probe import build_probe
     from probedesign.web.home import write_home
 
     schedule = PressSchedule(touches, moments_about)
     with show_progress() as on_progress:
-        probe = pipeline.load_probe(design)
+        probe = build_probe(load_design(design))
         folder = exports_of(design) / probe.design.name if out is None else out
         check_folder(folder)
         on_progress("predicting", None)
-        prediction = pipeline.predict(probe, schedule)
+        prediction = probe.predict(pressing=schedule)
         if monte_carlo is not None:
-            prediction = pipeline.sample_prediction(probe, prediction, monte_carlo, seed, folder, on_progress)
+            from probedesign.prediction.monte_carlo import MonteCarloPlan, run_monte_carlo
+
+            plan = MonteCarloPlan(probe.model, probe.tolerances, monte_carlo, seed, schedule)
+            rows = run_monte_carlo(plan, prediction, folder, lambda share: on_progress("Monte Carlo", share),
+                                   fused=worst(prediction.fused, SHOWN_N))  # fmt: skip
+            prediction = replace(prediction, monte_carlo=rows)
         files = write_files(folder, prediction_files(probe, prediction))
         write_home(folder, probe.model, str(design))
     root = root_contradiction(probe.design)

@@ -37,22 +37,25 @@ def validate(
         include_identified: judge also tests that the parameters of BUNDLE were identified from. Default: these are
             listed and left out of the verdict and the means.
     """
-    from probedesign import pipeline
     from probedesign.campaigns import read_campaign
+    from probedesign.frozen_probe import load_estimator
     from probedesign.validation.validate import MultiProbeReport, ValidationReport, check_names
+    from probedesign.validation.validate import validate as judge
     from probedesign.web.home import refresh_home
 
     pairs = _pairs(bundles_and_data)
     reports, files = list[ValidationReport](), list[Path]()
     with show_progress() as on_progress:
-        estimators = [pipeline.load_estimator(bundle) for bundle, _ in pairs]
+        estimators = [load_estimator(bundle) for bundle, _ in pairs]
         if len(pairs) > 1:
             check_names([estimator.model.name for estimator in estimators])
         for estimator, (_, data) in zip(estimators, pairs, strict=True):
             campaign, name = read_campaign(data), estimator.model.name
             folder = exports_of() / name / "validation" if out is None else out / name if len(pairs) > 1 else out
             check_writable(folder / "validation.json")
-            report = pipeline.validate(estimator, campaign, exact_model, on_progress, include_identified)
+            report = judge(
+                estimator, campaign, exact_model, include_identified, lambda share: on_progress("estimating", share)
+            )
             on_progress("drawing", None)
             files += write_files(folder, _files(report))
             if out is None:

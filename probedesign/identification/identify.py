@@ -162,7 +162,7 @@ def _measured(test: Test, campaign: Campaign, common: CommonParameters) -> Measu
         test.name, test.T_world_base, test.gravity_world, test.force_world, test.s_contact,
         0.0 if np.isnan(test.std_s) else test.std_s, test.p_contact_world, test.std_contact,
         sag=test.tip_sag, std_sag=test.std_sag, std_place=common.tolerances.robot_mm * MM,
-        std_turn=common.tolerances.robot_mm * MM / WRIST,
+        std_turn=common.tolerances.robot_mm * MM / WRIST, digest=test.digest,
     )  # fmt: skip
     model, n = common.model, len(test.wrenches)
     if measured.touched and np.isfinite(test.s_contact):
@@ -289,7 +289,8 @@ def identify(data: IdentificationData, names: Sequence[str] = DEFAULT, accept: b
         identified = tuple(name for name in identified if name not in [other.name for other in lost])
         unobservable += [other for other in lost if "E" not in identified or other.name not in IMPLIED]
     numbers, correlation, correlated = result.identified_numbers(used, identified, unobservable, names, quantile)
-    numbers = result.with_caveats(numbers)
+    numbers, residuals = result.with_caveats(numbers), result.residuals_of(fitted)
+    used_tests = {residual.test for residual in residuals}
     whole = Identification(
         fitted.result, data.common.model.name, data.common.model.fingerprint, data.where, len(data.tests),
         sum(len(block.r) for block in blocks), problem.size, numbers, correlation, correlated,
@@ -300,7 +301,8 @@ def identify(data: IdentificationData, names: Sequence[str] = DEFAULT, accept: b
          *(other.description for other in unobservable),
          *outlier_notes(blocks, outlying),
          *_remarks(fitted, student)),
-        result.residuals_of(fitted), time.perf_counter() - begun, likely_causes=causes,
+        residuals, time.perf_counter() - begun, likely_causes=causes,
+        served=tuple(test.digest for test in data.tests if test.name in used_tests),
     )  # fmt: skip
     if not why:
         return replace(whole, notes=(*whole.notes, result.farthest_tests(whole.residuals))) if warnings else whole

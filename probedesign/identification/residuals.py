@@ -63,6 +63,7 @@ class MeasuredTest:
     #: std_place, std_turn: standard deviations of the pose of this test alone, on each axis [m, rad]; 0: it is exact.
     std_place: float = 0.0
     std_turn: float = 0.0
+    digest: str = ""  #: `campaigns.Test.digest` of it.
 
     @property
     def free(self) -> bool:

@@ -83,10 +83,10 @@ def _open(design: Design, replace: bool) -> str:
 
 
 def _export(design: Design, replace: bool) -> str:
-    from probedesign import pipeline
+    from probedesign import cad
 
     try:
-        manifest = pipeline.export(design, exports_of() / design.name, lambda _: None)
+        manifest = cad.export_parts(design, exports_of() / design.name)
     except MissingDependencyError as error:
         raise InputError(str(error)) from None
     return _written(f"wrote {manifest['folder']}: {len(manifest['files']) + 1} files", design)

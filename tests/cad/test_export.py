@@ -20,7 +20,7 @@ pytest.importorskip("cadquery", reason="the parts are drawn with CadQuery: pip i
 import cadquery as cq
 import trimesh
 
-from probedesign import pipeline
+from probedesign import cad
 from probedesign.cad import export_parts
 from probedesign.cad.documents import Documents
 from probedesign.cad.exchange import reproducible, step_bytes
@@ -376,5 +376,5 @@ def test_a_missing_package_is_one_line(tmp_path: Path, monkeypatch: pytest.Monke
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, package, None)
     with pytest.raises(MissingDependencyError, match=r"^export needs .*pip install 'probedesign\[cad\]'$"):
-        pipeline.export(design_of(), tmp_path / "large", lambda step: None)
+        cad.export_parts(design_of(), tmp_path / "large")
     assert list(tmp_path.iterdir()) == []

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from probedesign import pipeline
+from probedesign import cad
 from probedesign.cli.main import run
 from probedesign.core.errors import CheckFailedError, InputError
 from probedesign.design import check_design, load_design, parse_design
@@ -15,6 +15,7 @@ from probedesign.design.catalog import CUSTOM
 from probedesign.design.io import render_design, write_design
 from probedesign.design.sensor_catalog import FILES, SENSORS, load_sensor
 from probedesign.frozen_probe import load_model, write_frozen
+from probedesign.printing.check import check_print
 from probedesign.probe import build_probe
 from probedesign.web.scene import rigid_parts
 
@@ -54,12 +55,12 @@ def test_screws_that_may_enter_too_deep_are_found_and_nothing_is_written(path, t
     """M2x6 has ±0.24 mm, the print ±0.15 mm, and 0.2 mm may be sanded: no entry of 2.5 to 3.0 mm is certain."""
     sensor = tmp_path / "my" / "sensor.toml"
     sensor.write_text(record().replace("max_entry_mm = 3.5", "max_entry_mm = 3.0"))
-    findings = pipeline.check(load_design(path)).errors
+    findings = check_print(load_design(path)).errors
     assert {one.rule for one in findings} == {"tolerance_stack"} and len(findings) == 2  # both sides of the sensor
     assert all(one.measured == pytest.approx(0.48, abs=0.1) for one in findings)  # grips are in steps of 0.1 mm
     pytest.importorskip("cadquery")
     with pytest.raises(CheckFailedError):
-        pipeline.export_part(load_design(path), "sensor_adapter", tmp_path / "out")
+        cad.export_part(load_design(path), "sensor_adapter", tmp_path / "out")
     assert not (tmp_path / "out").exists()
 
 
@@ -179,7 +180,7 @@ def centred(screw: str) -> str:
 def test_a_thread_on_the_axis_needs_a_dowel_or_a_measured_turn(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     file = path.parent / "my" / "sensor.toml"
     file.write_text(centred("M3"))
-    assert not pipeline.check(load_design(path)).errors
+    assert not check_print(load_design(path)).errors
     # One dowel: M3 in a hole of 3.4 + 0.15 mm, 6.25 mm from the pin, gives ±2.5°, evenly distributed.
     file.write_text(centred("M3").replace("[0.0, 120.0]", "[0.0]"))
     turn = np.degrees(np.arctan(0.275 / 6.25)) / np.sqrt(3.0)
@@ -198,7 +199,7 @@ def test_a_thread_on_the_axis_needs_a_dowel_or_a_measured_turn(path: Path, monke
     monkeypatch.setattr(
         "probedesign.cad.export.build_documents", lambda *_: Documents({}, [], [])
     )  # tests of their own
-    manifest = pipeline.export(design, path.parent / "out", lambda step: None)
+    manifest = cad.export_parts(design, path.parent / "out")
     assert all(finding["ok"] for finding in manifest["verification"].values())
     assert manifest["clamp"]["pressed_share"] == pytest.approx(
         0.95, abs=0.01
@@ -208,7 +209,7 @@ def test_a_thread_on_the_axis_needs_a_dowel_or_a_measured_turn(path: Path, monke
 def test_a_centre_thread_is_refused_where_it_does_not_fit(path: Path) -> None:
     file = path.parent / "my" / "sensor.toml"
     file.write_text(centred("M6"))  # its head's room of 10.4 mm reaches into the dowel holes on a circle of 12.5 mm
-    assert "dowel hole and a head's room" in " ".join(one.message for one in pipeline.check(load_design(path)).errors)
+    assert "dowel hole and a head's room" in " ".join(one.message for one in check_print(load_design(path)).errors)
     side = "bolt_circle_d_mm = 0.0\nazimuths_deg = [0.0]"
     file.write_text(record().replace("bolt_circle_d_mm = 12.5\nazimuths_deg = [95.0, 215.0, 335.0]", side))
     with pytest.raises(InputError, match=r"interface\.mounting\.bolt_circle_d_mm = 0: only the tool side"):
@@ -273,8 +274,8 @@ def test_parts_for_assumed_holes_are_refused(name, tmp_path):
     design = check_design({**tomllib.loads(DESIGN), "sensor": {"model": name}})
     assert "sensor.interface.tool" in design.assumptions
     for export in (
-        lambda: pipeline.export(design, tmp_path / "out", lambda step: None),
-        lambda: pipeline.export_part(design, "probe", tmp_path / "out"),
+        lambda: cad.export_parts(design, tmp_path / "out"),
+        lambda: cad.export_part(design, "probe", tmp_path / "out"),
     ):
         with pytest.raises(InputError, match="are assumed"):
             export()
@@ -306,23 +307,23 @@ def test_a_known_sensor_is_measured_in_the_new_design_and_exported(name, tmp_pat
     assert design.sensor_model == SENSORS[name] and design.sensor.model == CUSTOM
     marked = [line for line in path.read_text().splitlines() if "assumed: measure it" in line]
     assert any(line.startswith("bolt_circle_d_mm") for line in marked)
-    assert pipeline.check(design).errors == []  # the robot flange that was taken has room, and the stacks hold
+    assert check_print(design).errors == []  # the robot flange that was taken has room, and the stacks hold
     with pytest.raises(InputError, match=r"tool, mounting, dowels, cable of its interface are assumed"):
-        pipeline.export_part(design, "sensor_adapter", tmp_path / "out")
+        cad.export_part(design, "sensor_adapter", tmp_path / "out")
 
     path.write_text(filled(path.read_text()))
     measured = load_design(path)
     assert measured.sensor_model.assumed_shape == ()
     interface = SENSORS[name].interface
     assert measured.sensor_model.interface.dowels.depth == pytest.approx(interface.dowels.depth + 0.5e-3)
-    assert pipeline.check(measured).errors == []
+    assert check_print(measured).errors == []
     probe = build_probe(measured)
     write_frozen(probe.model, tmp_path / "a.probe.json")
     vertices = rigid_parts(load_model(tmp_path / "a.probe.json"), tmp_path)[0][0].vertices
     assert np.hypot(*vertices[:, :2].T).max() == pytest.approx(interface.body_d / 2, abs=1e-9)
     assert probe.predict(fractions=(0.5,), forces_N=(0.1,), directions=("+y",)).conditions[0].force_N == 0.1
     pytest.importorskip("cadquery")
-    written = pipeline.export_part(measured, "flange_adapter", tmp_path / "out")
+    written = cad.export_part(measured, "flange_adapter", tmp_path / "out")
     assert written["volume_m3"] > 0.0 and (tmp_path / "out" / "flange_adapter.stl").exists()
 
 

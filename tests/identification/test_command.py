@@ -6,8 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from probedesign import load_design, load_estimator, pipeline
+from probedesign import load_design, load_estimator
 from probedesign.cli.main import run
+from probedesign.identification import identify as module
 from probedesign.identification.result import UNITS
 from tests.identification.conftest import LARGE, TRUE_E
 from tests.reports.test_pages import assert_whole
@@ -81,12 +82,12 @@ def test_inconsistent_results_are_printed_and_end_as_an_error(
     here: Path, stage_folder: Path, capsys, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """What was found is printed all the same; a script must not take it for a success."""
-    whole = pipeline.identify
+    whole = module.identify
 
     def contradicted(*arguments):
         return whole(*arguments).as_inconsistent("touches: 9 of 9 are outliers with little weight")
 
-    monkeypatch.setattr(pipeline, "identify", contradicted)
+    monkeypatch.setattr(module, "identify", contradicted)
     for more in ((), ("--json",)):
         assert run(["identify", "large.toml", str(stage_folder), "--for", "E", "--no-page", *more]) == 2
         output = capsys.readouterr()

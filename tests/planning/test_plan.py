@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from benchmarks.planning import fill
-from probedesign import new, pipeline
+from probedesign import data_of, identify, new
 from probedesign.campaigns import read_campaign
 from probedesign.cli.main import run
 from probedesign.core.errors import InputError
@@ -19,12 +19,18 @@ from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.model import Tolerances
 from probedesign.planning.candidates import Bench, Instruments
 from probedesign.planning.plan import HANG_EVERY, PREPARATION, Information, checklist_text, make_plan, tables
+from probedesign.probe import build_probe
 from probedesign.reports.plan_page import plan_page
 from probedesign.rod.contact import surface_point
 from tests.reports.test_pages import assert_whole
 
 LARGE = Path(__file__).parents[2] / "designs/large.toml"
 STAGE = Instruments(calipers=None, balance=None)
+
+
+def planned(design, *settings):
+    probe = build_probe(design)
+    return make_plan(probe.model, probe.flange_volume, *settings)
 
 
 @pytest.fixture(scope="module")
@@ -34,13 +40,13 @@ def design():
 
 @pytest.fixture(scope="module")
 def bench(design):
-    return Bench(pipeline.load_probe(LARGE).model, STAGE)
+    return Bench(build_probe(load_design(LARGE)).model, STAGE)
 
 
 @pytest.fixture(scope="module")
 def plan(design):
     """Of an hour with a stage, for E and the root."""
-    return pipeline.plan(design, 90.0, ("E", "root"), STAGE, 4)
+    return planned(design, 90.0, ("E", "root"), STAGE, 4)
 
 
 def test_a_plan_keeps_the_time_and_ends_free(plan):
@@ -67,7 +73,7 @@ def test_the_marks_lie_r_tan_alpha_beyond_the_line_of_the_force(bench):
 
 def test_more_tests_never_widen_an_interval_of_one_parameter(design):
     """Information is additive; with E alone requested no other parameter is estimated."""
-    found = pipeline.plan(design, 100.0, ("E",), STAGE, 0)
+    found = planned(design, 100.0, ("E",), STAGE, 0)
     stds = [one.expected[0].std_of_print for one in found.tests if one.expected[0].std_of_print is not None]
     assert len(stds) > 5 and np.all(np.diff(stds) <= 1e-9)
 
@@ -112,7 +118,8 @@ def test_calipers_determine_diameters_as_well_as_they_measure(bench):
 def test_identify_states_the_expected_intervals(plan, design, tmp_path, exact):
     """Simulated measurements of exactly the plan, of the designed and of a drawn print."""
     fill(tmp_path, plan, 3, exact)
-    found = pipeline.identify(design, read_campaign(tmp_path), ("E", "root"))
+    probe = build_probe(design)
+    found = identify(data_of(read_campaign(tmp_path), probe.model, probe.flange_volume), ("E", "root"))
     assert found.result == "ok" and found.tests == sum(not one.held_out for one in plan.candidates)
     for one in plan.expected:
         stated = found.of(one.name)
@@ -138,7 +145,7 @@ def test_an_empty_folder_is_read_and_a_part_of_it_is_enough(plan, design, tmp_pa
     (tmp_path / "tests.csv").write_text(
         "\n".join(empty[0] if line.startswith("touch-03") else line for line in lines) + "\n"
     )
-    found = pipeline.identify(design, read_campaign(tmp_path), ("E",))
+    found = identify(data_of(read_campaign(tmp_path), build_probe(design).model, 0.0), ("E",))
     assert found.result == "ok" and any(note.startswith("touch-03: not used") for note in found.notes)
 
 
@@ -274,15 +281,15 @@ def test_proposed_touches_are_located(bench):
 def test_touches_of_an_arc_that_identify_cannot_solve_are_left_out():
     """The others determine E and the root."""
     arc = new(length_mm=150.0, base_d_mm=12.0, axis="arc", axis_bend_deg=60.0, sensor="nano17")
-    found = pipeline.plan(arc, 90.0, ("E", "root"), replace(STAGE, weights=(), turnable=False), 2)
+    found = planned(arc, 90.0, ("E", "root"), replace(STAGE, weights=(), turnable=False), 2)
     assert sum(one.set_up == "touch" for one in found.candidates) > 5
     assert all(one.std is not None for one in found.expected)
 
 
 def test_calipers_and_identify_share_one_recommendation(design):
     """Where calipers determine the diameters, identify does not: note, sheet and property name the same parameters."""
-    found = pipeline.plan(design, 90.0, ("E", "diameters"), Instruments(), 2)
+    found = planned(design, 90.0, ("E", "diameters"), Instruments(), 2)
     assert found.identified == ("E",)
     assert "--for E " in checklist_text(found, "data") and any("--for E." in note for note in found.notes)
-    without = pipeline.plan(design, 90.0, ("E", "diameters"), replace(Instruments(), calipers=None), 2)
+    without = planned(design, 90.0, ("E", "diameters"), replace(Instruments(), calipers=None), 2)
     assert without.identified == ("E", "diameters") and "--for E,diameters " in checklist_text(without, "data")

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from probedesign import pipeline
+from probedesign import data_of, identify, validate
 from probedesign.campaigns import read_campaign
 from probedesign.cli.console import json_bytes
 from probedesign.cli.demo import DEMO_STYLE, demo_section
@@ -22,6 +22,7 @@ from probedesign.live.run import RecordingEstimates, estimate_recording
 from probedesign.live.sources.sim import SimulatedSource
 from probedesign.mapping.contact_map import build_map
 from probedesign.planning.candidates import Instruments
+from probedesign.planning.plan import make_plan
 from probedesign.probe import build_probe
 from probedesign.reports.html_page import REPORT_STYLE
 from probedesign.reports.identification_page import identification_page
@@ -99,16 +100,16 @@ def recording(request) -> bytes:
 
 
 def identification(request) -> bytes:
-    return identification_page(pipeline.identify(probe().design, request.getfixturevalue("campaign"), ["E", "G"]))
+    data = data_of(request.getfixturevalue("campaign"), probe().model, 0.0)
+    return identification_page(identify(data, ["E", "G"]))
 
 
 def validation(request) -> bytes:
-    campaign = request.getfixturevalue("campaign")
-    return validation_page(pipeline.validate(probe().estimator(), campaign, False, lambda step, share: None))
+    return validation_page(validate(probe().estimator(), request.getfixturevalue("campaign")))
 
 
 def plan(_request) -> bytes:
-    return plan_page(pipeline.plan(probe().design, 40.0, ["E"], Instruments(), 0), "data/large")
+    return plan_page(make_plan(probe().model, 0.0, 40.0, ["E"], Instruments(), 0), "data/large")
 
 
 def points(_request) -> bytes:

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from probedesign import build_probe, load_design, pipeline
+from probedesign import build_probe, data_of, identify, load_design
 from probedesign.campaigns import read_campaign
 from probedesign.cli.main import run
 from probedesign.core.errors import InputError
@@ -55,7 +55,7 @@ def test_identify_leaves_out_what_is_for_validate(folder):
     campaign = read_campaign(folder)
     held_out = {test.name for test in campaign.tests if test.use == "validate"}
     assert held_out == {"touch-02", "touch-04", "touch-06"}
-    found = pipeline.identify(load_design("small"), campaign, ("E",))
+    found = identify(data_of(campaign, build_probe(load_design("small")).model, 0.0), ("E",))
     assert not held_out & {one.test for one in found.residuals}
     assert set(found.served) == {test.digest for test in campaign.tests if test.name not in held_out}
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from probedesign import pipeline
+from probedesign import build_probe, load_design
 from probedesign.campaigns import read_campaign
 from probedesign.cli.main import run
 from probedesign.core.errors import InputError
@@ -21,7 +21,7 @@ PLAN = CampaignPlan(seed=1, calibration="files")
 
 @pytest.fixture(scope="module")
 def model():
-    return pipeline.load_probe(DESIGN).model
+    return build_probe(load_design(DESIGN)).model
 
 
 @pytest.fixture(scope="module")
