@@ -143,12 +143,6 @@ class TaskOptions:
     """Number of touches of one fixed point that are fused while the base presses on. 1 is a single reading."""
     moments_about: Origin | None = None
     """Fuse the moments about this origin only, the sensor's or the base's. Default: forces and moments."""
-    base_repeat_mm: float | None = None
-    """Standard deviation of the robot's position from touch to touch on each axis [mm]. Default: robot_mm of the
-    design's tolerances."""
-    bias_walk_steps: float | None = None
-    """Random walk of the sensor's bias from touch to touch, in steps of its resolution. Default: walk_steps of the
-    design's tolerances."""
     at: Annotated[list[float] | None, Parameter(**_LIST)] = None
     """Touched places as fractions of the length. Default: 0.4, 0.5, ... 0.9."""
     gravity: Annotated[list[str] | None, Parameter(**_LIST)] = None
@@ -169,9 +163,8 @@ class TaskOptions:
 
         directions = self.direction or (_ALL_AROUND if curved else ())
         return Task(
-            tuple(self.force_N or (0.005,)), self.touches, self.moments_about, self.base_repeat_mm,
-            self.bias_walk_steps, tuple(self.at or FRACTIONS), tuple(map(_vector, self.gravity or [])),
-            tuple(directions), self.combine,
+            tuple(self.force_N or (0.005,)), self.touches, self.moments_about, tuple(self.at or FRACTIONS),
+            tuple(map(_vector, self.gravity or [])), tuple(directions), self.combine,
         )  # fmt: skip
 
 

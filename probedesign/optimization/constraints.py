@@ -21,39 +21,24 @@ from probedesign.optimization.design_space import (
     FreeParameter,
     finite_differences,
 )
-from probedesign.optimization.displacement import FORCE, MAX_DISTANCE_MM, MIN_FORCE, split_metric
 from probedesign.optimization.objective import Task
 
 Goal = Literal["error-at-force", "force-for-error"]
-#: Metrics that may be limited. `buckling_margin` is the critical load over the task's force; `print_warnings` can only
-#: be excluded; `force_mN` has a distance, as in `force_mN@10mm`.
-LIMITED_METRICS = (
-    "error_mm",
-    "worst_error_mm",
-    "sag_mm",
-    "reach_mm",
-    "tip_offset_mm",
-    "distinction",
-    "sensor_use",
-    "slide_mm",
-    "mass_g",
-    "length_mm",
-    "thinnest_mm",
-    "detectable_mN",
-    "buckling_margin",
-    "natural_frequency_Hz",
-    "print_warnings",
-    FORCE,
-)
 NO_WARNINGS = "print_warnings"
-_LIMIT = re.compile(r"\s*([A-Za-z_]+)(@\S+?)?\s*(<=|>=)\s*(\S+)\s*")
+#: Metrics that may be limited. `buckling_margin` is the critical load over the task's force; `print_warnings` can only
+#: be excluded.
+LIMITED_METRICS = (
+    "error_mm", "worst_error_mm", "sag_mm", "reach_mm", "tip_offset_mm", "distinction", "sensor_use", "slide_mm",
+    "mass_g", "length_mm", "thinnest_mm", "detectable_mN", "buckling_margin", "natural_frequency_Hz", NO_WARNINGS,
+)  # fmt: skip
+_LIMIT = re.compile(r"\s*([A-Za-z_]+)\s*(<=|>=)\s*(\S+)\s*")
 
 
 @dataclass(frozen=True)
 class Limit:
     """A bound on a metric."""
 
-    metric: str  #: one of `LIMITED_METRICS`, with its distance if it has one.
+    metric: str  #: one of `LIMITED_METRICS`.
     is_upper: bool  #: whether it is an upper bound.
     value: float  #: in the unit at the end of the metric's name.
 
@@ -62,11 +47,6 @@ class Limit:
         """Return the limit as it is written on the command line."""
         return f"{self.metric} {'<=' if self.is_upper else '>='} {self.value:g}"
 
-    @property
-    def figure(self) -> str:
-        """Return the name of the figure that is bounded: a lower limit on the force bounds the smallest one."""
-        return self.metric if self.is_upper else self.metric.replace(FORCE, MIN_FORCE)
-
     def margin(self, figure: float) -> float:
         """Return the distance to the bound relative to its value; negative where the limit is violated."""
         distance = self.value - figure if self.is_upper else figure - self.value
@@ -74,7 +54,7 @@ class Limit:
 
 
 def parse_limit(text: str) -> Limit:
-    """Parse a limit such as `sag_mm<=60`, `reach_mm>=100` or `force_mN@10mm<=50`.
+    """Parse a limit such as `sag_mm<=60` or `reach_mm>=100`.
 
     Raises:
         InputError: the text is not a limit, or the metric is unknown.
@@ -82,19 +62,9 @@ def parse_limit(text: str) -> Limit:
     match = _LIMIT.fullmatch(text)
     if match is None:
         raise InputError(f"--subject-to {text!r}: write FIGURE<=NUMBER or FIGURE>=NUMBER, such as 'sag_mm<=60'")
-    figure, at, sign, number = match.groups()
+    figure, sign, number = match.groups()
     if figure not in LIMITED_METRICS:
         raise unknown_name("--subject-to", figure, LIMITED_METRICS)
-    if at is not None or figure == FORCE:
-        if figure != FORCE:
-            raise InputError(f"--subject-to {text!r}: {figure} has no distance; write '{figure}{sign}{number}'")
-        distance = split_metric(f"{figure}{at or ''}")[1]
-        if not 0.0 < distance <= MAX_DISTANCE_MM:
-            raise InputError(
-                f"--subject-to {text!r}: write the distance, up to {MAX_DISTANCE_MM:g} mm, as in "
-                f"'{figure}@10mm{sign}{number}'"
-            )
-        figure = f"{figure}@{distance:g}mm"
     try:
         value = float(number)
     except ValueError:
@@ -208,7 +178,7 @@ class NonlinearProgram:
 
     def _limit(self, limit: Limit) -> Constraint:
         # In logarithms: an error may be a hundred times too large, and SQP linearises the constraints.
-        sign, name, evaluator = (-1.0 if limit.is_upper else 1.0), limit.figure, self.evaluator
+        sign, name, evaluator = (-1.0 if limit.is_upper else 1.0), limit.metric, self.evaluator
         return Constraint(
             limit.text,
             lambda x: np.array([sign * np.log(evaluator.metrics(x)[name] / limit.value) - SPARE]),
@@ -243,7 +213,7 @@ class NonlinearProgram:
         """Return a message with the conflicting constraints at the least infeasible point."""
         nearest = min(map(self._least_infeasible, starts), key=self._max_violation)
         limit, conflicts = -_CONFLICT_SHARE * self._max_violation(nearest), []
-        metrics, of = self.evaluator.metrics(nearest), {limit.text: limit.figure for limit in self.limits}
+        metrics, of = self.evaluator.metrics(nearest), {limit.text: limit.metric for limit in self.limits}
         for c in self.constraints:
             if c.min_margin(nearest) <= limit:
                 conflicts.append(f"{c.text} (there {metrics[of[c.text]]:.4g})" if c.text in of else c.text)
@@ -323,5 +293,5 @@ class OptimizationProblem:
         limits = self.all_limits
         margins = [limit.value for limit in limits if limit.metric == "buckling_margin"]
         max_load = 1.1 * max([SAFETY_FACTOR, *margins])  # beyond the limit, so that the constraint is smooth there
-        limited = frozenset(limit.figure for limit in limits)
+        limited = frozenset(limit.metric for limit in limits)
         return NonlinearProgram(DesignEvaluator(space, self.task, with_force, limited, max_load), limits)

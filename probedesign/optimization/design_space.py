@@ -19,7 +19,6 @@ from probedesign.design.schema import AXIS_KEYS, MAX_DIAMETER_MM, MIN_DIAMETER_M
 from probedesign.estimation.model import ProbeModel
 from probedesign.geometry.axis import MIN_RADIUS_RATIO, Axis
 from probedesign.mount import flange_of, max_ring_passage_d
-from probedesign.optimization.displacement import MIN_FORCE, forces_at_deflection_mN, split_metric
 from probedesign.optimization.objective import Task, detectable_mN, predict_task, tip_offset
 from probedesign.prediction.predict import tip_sag
 from probedesign.printing import check
@@ -295,7 +294,6 @@ def _compliance(model: ProbeModel, s: float, angle: float, force: float) -> floa
 STEP = 1e-4  #: Relative step of the finite differences; the error prediction is smooth to about 1e-8.
 _AXIS_POINTS = 25  #: Points of the axis at which its margins are evaluated.
 _EXACT = 12  # decimals: dimensions are not rounded noticeably
-_SMALL = 1e-4  # relative step of a radius, for differences of the free rod alone
 #: Critical load, over the task's force, that a design must have: the error does not show how near buckling is, and a
 #: print may be softer than designed by two standard deviations of E, 10 % each (assumed).
 SAFETY_FACTOR = 1.25
@@ -307,8 +305,6 @@ SOUGHT = "sought_mm"  #: Metric that a search minimises: the error of the task, 
 INFEASIBLE = {SOUGHT: 1e3, "error_mm": 1e3, "worst_error_mm": 1e3, "sensor_use": 10.0, "slide_mm": 1e3,
             "sag_mm": 1e3, "reach_mm": 1e-3, "critical_load": 0.1, "distinction": 0.01, "buckling_margin": 0.1,
             "natural_frequency_Hz": 1e-3, "detectable_mN": 1e6, "thinnest_mm": 1e-3, "tip_offset_mm": 1e3}  # fmt: skip
-#: Force where a push does not reach its distance; its inverse is the smallest force.
-_NO_FIGURE = 1e6
 
 
 @dataclass
@@ -356,11 +352,7 @@ class DesignEvaluator:
         return self.metrics(x)["error_mm"] < INFEASIBLE["error_mm"]
 
     def _evaluate(self, x: Array) -> dict[str, float]:
-        pushed = {
-            name: 1.0 / _NO_FIGURE if name.startswith(MIN_FORCE) else _NO_FIGURE for name in self.limited if "@" in name
-        }
-        metrics = {**INFEASIBLE, **pushed}
-        metrics |= {"length_mm": self.space.length_mm(x), "mass_g": 1e3}
+        metrics = {**INFEASIBLE, "length_mm": self.space.length_mm(x), "mass_g": 1e3}
         try:
             probe = self.probe(x)
             model = probe.model
@@ -383,9 +375,6 @@ class DesignEvaluator:
             metrics["natural_frequency_Hz"] = frequency if math.isfinite(frequency) else 1e-3
         if "detectable_mN" in self.limited:
             metrics["detectable_mN"] = detectable_mN(model, task) or INFEASIBLE["detectable_mN"]
-        for name in pushed:
-            if forces := forces_at_deflection_mN(model, task, split_metric(name)[1]):
-                metrics[name] = forces[0 if name.startswith(MIN_FORCE) else 1]
         free = probe.rod.solve(model.gravity_base)
         if free.ok:
             tip = free.p_at(probe.length)
@@ -398,37 +387,12 @@ class DesignEvaluator:
         return build_probe(self.space.design(x[: self.space.size], _EXACT))
 
     def gradient(self, name: str, x: Array) -> Array:
-        """Return the gradient of a metric.
+        """Return the gradient of a metric by finite differences; those of all metrics need the same designs.
 
-        Sag and reach by diameters are exact except for the base's; the others are finite differences: the error
-        consists of first derivatives of the rod, so its gradient would need second ones, which the rod lacks.
+        The error consists of first derivatives of the rod, so its exact gradient would need second ones, which the rod
+        lacks.
         """
-        if name in ("sag_mm", "reach_mm") and not {"length", "section", "axis"} & set(self.space.free):
-            exact = self._sag_and_reach_gradients(x)
-            if exact is not None:
-                return np.pad(exact[name], (0, len(x) - self.space.controls))
         return finite_differences(lambda y: self.metrics(y)[name], x, central=name in ("mass_g", "length_mm"))
-
-    def _sag_and_reach_gradients(self, x: Array) -> dict[str, Array] | None:
-        """Return the gradients of sag and reach by the control diameters [mm/mm]; None without a stable free
-        equilibrium."""
-        probe = self.probe(x)
-        rod, gravity = probe.rod, probe.model.gravity_base
-        eq = rod.solve(gravity, columns="all")
-        if eq.sensitivity is None:
-            return None
-        first = eq.sensitivity.names.index("log_diameter_0")
-        by_knot = eq.sensitivity.d_position[:, first : first + len(rod.s)] / (2.0 * rod.radius)
-        ends = list[Array]()  # the rigid root scales with the base, for which the rod has no sensitivity column
-        for factor in (1.0 - _SMALL, 1.0 + _SMALL):
-            radius = rod.radius.copy()
-            radius[0] *= factor
-            other = replace(rod, radius=radius, rigid_length=factor * rod.rigid_length)
-            ends.append(other.solve(gravity, mode="reference").p_at(rod.length))
-        by_knot[:, 0] = (ends[1] - ends[0]) / (4.0 * _SMALL * rod.radius[0])
-        by_control, tip = by_knot @ self.space.spline, eq.p_at(rod.length)
-        down = gravity / max(float(np.linalg.norm(gravity)), 1e-300)
-        return {"sag_mm": down @ by_control, "reach_mm": tip @ by_control / np.linalg.norm(tip)}
 
 
 def finite_differences(f: Callable[[Array], float | Array], x: Array, central: bool) -> Array:

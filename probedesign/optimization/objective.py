@@ -17,7 +17,7 @@ from probedesign.estimation.contact_fit import MIN_FRICTION
 from probedesign.estimation.error_sources import ErrorSources
 from probedesign.estimation.estimate import MomentsAbout
 from probedesign.estimation.estimator import Estimator
-from probedesign.estimation.model import ProbeModel, Tolerances
+from probedesign.estimation.model import ProbeModel
 from probedesign.prediction.budget import error_budget
 from probedesign.prediction.fused import MAX_TOUCHES, LinearizedPresses, PressSchedule
 from probedesign.prediction.predict import finite_or_none, tip_sag
@@ -51,10 +51,6 @@ class Task:
     forces_N: tuple[float, ...] = (0.005,)
     touches: int = 5  #: number of touches of one fixed point as the base presses on; 1 is a single reading.
     moments_about: MomentsAbout | None = None  #: as in `PressSchedule`.
-    #: standard deviation of the base position at each touch, on each axis; None: the design's.
-    base_repeat_mm: float | None = None
-    #: walk of the bias between touches, in steps of resolution; None: the design's.
-    bias_walk_steps: float | None = None
     fractions: tuple[float, ...] = FRACTIONS  #: contact positions over the length.
     gravities: tuple[Vector, ...] = ()  #: in base axes [m/s²]; empty: that of the design's mount.
     #: of the pushes, about the tangent from the section's X axis; empty: across gravity.
@@ -70,9 +66,6 @@ class Task:
                 raise InputError(f"force = {force:g} N must lie in (0, 100]")
         if not 1 <= self.touches <= MAX_TOUCHES:
             raise InputError(f"touches = {self.touches} must lie in 1 ... {MAX_TOUCHES}")
-        for name, value in (("base repeat", self.base_repeat_mm), ("bias walk", self.bias_walk_steps)):
-            if value is not None and not 0.0 <= value <= 100.0:
-                raise InputError(f"{name} = {value:g} must lie in 0 ... 100")
         if not self.fractions or not all(0.0 < f <= 1.0 for f in self.fractions):
             raise InputError(f"fractions {list(self.fractions)} must lie in (0, 1]")
         for gravity in self.gravities:
@@ -92,12 +85,6 @@ class Task:
     def schedule(self) -> PressSchedule | None:
         """Return how several touches are made; None: one reading."""
         return None if self.touches == 1 else PressSchedule(self.touches, self.moments_about)
-
-    def priors(self, model: ProbeModel) -> Tolerances:
-        """Return the standard deviations of the error sources: the design's, except for those that the task sets."""
-        stated: dict[str, Any] = {"robot_mm": self.base_repeat_mm, "walk_steps": self.bias_walk_steps}
-        changed = {name: value for name, value in stated.items() if value is not None}
-        return replace(Tolerances.of(model), **changed)
 
     def models(self, model: ProbeModel) -> Iterator[ProbeModel]:
         """Yield the probe under each gravity of the task."""
@@ -146,10 +133,8 @@ class Task:
         forces = ", ".join(f"{1e3 * force:g}" for force in self.forces_N)
         if self.schedule is None:
             return f"one reading at {forces} mN"
-        changed = "" if self.base_repeat_mm is None else f", base repeats to {self.base_repeat_mm:g} mm"
-        changed += "" if self.bias_walk_steps is None else f", bias walks {self.bias_walk_steps:g} steps"
         counted = self.schedule.text.split(", ")[1]
-        return f"{self.touches} touches up to {forces} mN fused, {counted}{changed}"
+        return f"{self.touches} touches up to {forces} mN fused, {counted}"
 
 
 DETECTION_FRACTION = 0.8  #: Contact fraction whose detectable force is reported.
@@ -243,7 +228,7 @@ def predict_task(model: ProbeModel, task: Task, slipping: bool = True) -> TaskEr
     """Predict the errors of a task's touches, including all error sources; without `slipping` the slide is 0."""
     cases, errors, use, slid, distinct = list[Case](), list[float](), 0.0, 0.0, math.inf
     for under in task.models(model):
-        estimator = Estimator(under, task.priors(under))
+        estimator = Estimator(under)
         free = estimator.free()
         on = SurfaceRod(under.rod, under.gravity_base, under.mass, free)
         sources = ErrorSources.of(under, estimator.priors, under.gravity_base, free) if free.ok else None
@@ -336,7 +321,7 @@ APART, _PLACES = 0.15, 41
 
 def detectable_mN(model: ProbeModel, task: Task) -> float | None:
     """Return the force that one reading detects with probability 0.5 at `DETECTION_FRACTION` [mN]; None if none is."""
-    estimator = Estimator(model, task.priors(model))
+    estimator = Estimator(model)
     if not estimator.free().ok:
         return None
     sides = [f"{angle:g}deg" for angle in task.directions_deg] or ["+y"]

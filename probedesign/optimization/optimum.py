@@ -16,7 +16,7 @@ from probedesign.core.units import MM
 from probedesign.design import Design, check_design
 from probedesign.design.edit import tables_of
 from probedesign.design.io import render_design
-from probedesign.estimation.model import ProbeModel
+from probedesign.estimation.model import ProbeModel, Tolerances
 from probedesign.optimization.constraints import FORCES, SPARE, NonlinearProgram, OptimizationProblem
 from probedesign.optimization.design_space import DIGITS
 from probedesign.optimization.objective import DesignMetrics, Task, design_metrics, predict_task
@@ -198,7 +198,7 @@ def _errors(chunk: _Chunk) -> Array:
     """Return error [m] (NaN without a candidate), located and inside the 95 % ellipsoid for each draw, (n, 3)."""
     model, task = chunk.model, chunk.task
     rng = np.random.default_rng(chunk.seed)
-    samples = PrintSamples.draw(model, task.priors(model), chunk.draws, int(rng.integers(2**31)))
+    samples = PrintSamples.draw(model, Tolerances.of(model), chunk.draws, int(rng.integers(2**31)))
     results = locate_draws(samples, chunk.fraction, chunk.force, chunk.angle, task.schedule, rng)
     rows = [
         (math.nan if a.error is None else a.error, a.result == "ok", a.result == "ok" and a.inside) for a in results

@@ -95,14 +95,11 @@ def compare(designs: Sequence[Design], task: Task) -> list[ComparedDesign]:
         probe = build_probe(design)
         model = probe.model
         prediction = probe.predict(
-            forces_N=(task.force_N,),
-            directions=None if probe.rod.is_curved else (SIDE,),
-            tolerances=task.priors(model),
-            pressing=pressing,
+            forces_N=(task.force_N,), directions=None if probe.rod.is_curved else (SIDE,), pressing=pressing
         )
         rms = tuple(task.combined(predict_task(model, other, slipping=False).errors) for other in by_force)
         touches = tuple(task.combined(predict_task(model, other, slipping=False).errors) for other in along)
-        metrics, estimator = design_metrics(design, task), Estimator(model, task.priors(model))
+        metrics, estimator = design_metrics(design, task), Estimator(model)
         at = (HEADLINE_FRACTION,)
         over = errors_over_directions(estimator, at, (task.force_N,)) if curved and estimator.free().ok else ()
         compared.append(ComparedDesign(design, metrics, touches, rms, prediction, fused_headline(model), over))

@@ -12,13 +12,7 @@ from probedesign.design import check_design, load_design
 from probedesign.design.catalog import PrintLimits
 from probedesign.design.io import render_design
 from probedesign.optimization.constraints import Limit, NonlinearProgram, OptimizationProblem, check_limits, parse_limit
-from probedesign.optimization.design_space import (
-    DesignEvaluator,
-    DesignSpace,
-    critical_load_factor,
-    finite_differences,
-    tables_of,
-)
+from probedesign.optimization.design_space import DesignEvaluator, DesignSpace, critical_load_factor, tables_of
 from probedesign.optimization.objective import Task, design_metrics, predict_task
 from probedesign.optimization.optimum import confirm, optimum
 from probedesign.prediction.predict import predict
@@ -73,28 +67,6 @@ def test_several_tasks_at_once_are_combined(large):
     np.testing.assert_allclose(found.errors, single, rtol=1e-4)  # presses divided otherwise
     assert task.combined(found.errors) == pytest.approx(np.sqrt(np.mean(np.square(found.errors))))
     assert replace(task, combine="worst").combined(found.errors) == max(found.errors)
-
-
-def test_the_task_overrides_priors_of_the_design(large):
-    probe = build_probe(large)
-    assert TASK.priors(probe.model) == probe.tolerances
-    other = Task(base_repeat_mm=0.05, bias_walk_steps=0.4).priors(probe.model)
-    assert other == replace(probe.tolerances, robot_mm=0.05, walk_steps=0.4)
-    errors = [predict_task(probe.model, t).errors for t in (TASK, Task(base_repeat_mm=0.05))]
-    assert all(wide > narrow for narrow, wide in zip(*errors, strict=True))
-
-
-@pytest.mark.parametrize("free", [("cone",), ("taper",)])
-def test_sag_and_reach_have_exact_slopes(large, free):
-    space = DesignSpace.of(large, free)
-    trial, x = DesignEvaluator(space, TASK), space.x_of(large) * 0.8
-    for name in ("sag_mm", "reach_mm"):
-        # the fast solver's own rounding over the step
-        np.testing.assert_allclose(
-            trial.gradient(name, x),
-            finite_differences(lambda y, name=name: trial.metrics(y)[name], x, central=True),
-            rtol=2e-3, atol=2e-3 * np.abs(trial.gradient(name, x)).max(),
-        )  # fmt: skip
 
 
 @pytest.mark.parametrize(("x", "rule"), [((12.0, 1.4), "smallest_feature"), ((3.7, 3.6), "slenderness")])
