@@ -9,15 +9,12 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from typing import Any, Protocol
 
-    from matplotlib.axes import Axes
     from pandas import DataFrame
 
     class Views(Protocol):
-        """What `reports.notebook` draws of a result."""
+        """What `reports.notebook` shows of a result."""
 
-        def html_of(self, result: object) -> str: ...
-        def text_of(self, result: object) -> str: ...
-        def plot_of(self, result: object, ax: Axes | None) -> Axes: ...
+        def views_of(self, result: object) -> dict[str, str]: ...
         def dataframe_of(self, result: object) -> DataFrame: ...
 
 
@@ -25,7 +22,7 @@ _views: "Callable[[], Views]"
 
 
 def set_views(load: "Callable[[], Views]") -> None:
-    """State what imports the functions that draw; `probedesign/__init__.py` calls this."""
+    """State what imports the functions that show results; `probedesign/__init__.py` calls this."""
     global _views
     _views = load
 
@@ -34,25 +31,10 @@ class Displayed:
     """A result with a short table and a picture."""
 
     def _repr_html_(self) -> str:
-        return _views().html_of(self)
+        return self._repr_mimebundle_()["text/html"]
 
     def _repr_mimebundle_(self, include: "Any" = None, exclude: "Any" = None) -> dict[str, str]:
-        return {"text/html": self._repr_html_(), "text/plain": _views().text_of(self)}
-
-    def plot(self, ax: "Axes | None" = None) -> "Axes":
-        """Draw the picture with matplotlib.
-
-        Args:
-            ax: axes to draw into; new ones if None.
-
-        Returns:
-            The axes. Without a picture, such as of a reading without contact, they are empty and the title names the
-            reason.
-
-        Raises:
-            MissingDependencyError: matplotlib is not installed.
-        """
-        return _views().plot_of(self, ax)
+        return _views().views_of(self)
 
 
 class Tabular(Displayed):

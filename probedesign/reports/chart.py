@@ -1,7 +1,7 @@
-"""Charts as data, drawn as an SVG element; `reports.notebook` draws them into matplotlib axes.
+"""Charts as data, drawn as an SVG element.
 
 A chart lists axes, lines, areas, boxes and labels. The SVG has real text and needs no plotting library, so a page with
-a dozen charts takes a few milliseconds; both drawings are legible at half size and in print.
+a dozen charts takes a few milliseconds; it is legible at half size and in print.
 """
 
 import itertools

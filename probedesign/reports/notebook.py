@@ -1,11 +1,10 @@
 """What results show in a notebook: a short table, a picture and a data frame of each class of `core.notebook`.
 
-`summary_of` has one entry per class, and so has `rows_of` for the classes that are tables. A picture is a `Chart`: SVG
-in the notebook's output, matplotlib where it is plotted.
+`summary_of` has one entry per class, and so has `rows_of` for the classes that are tables.
 """
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
 from functools import singledispatch
 from html import escape
@@ -27,13 +26,12 @@ from probedesign.mount import build_geometry
 from probedesign.prediction.fused import worst
 from probedesign.prediction.predict import Prediction, condition_rows
 from probedesign.probe import Probe
-from probedesign.reports.chart import COLOURS, DASHES, NO_LINE, Chart, ChartArea, ChartAxis, ChartLine
+from probedesign.reports.chart import COLOURS, Chart
 from probedesign.reports.html_page import labelled
 from probedesign.reports.identification_page import residual_chart
 from probedesign.reports.prediction_charts import STATIONS, body_chart, error_chart
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from pandas import DataFrame
 
 _ARROW = 0.25  #: Length of a force's arrow over that of the probe.
@@ -47,89 +45,26 @@ class Summary:
 
     title: str  #: its kind and name.
     rows: Sequence[tuple[str, str]]  #: quantities and their values with units.
-    chart: Callable[[], Chart] | None = None  #: draws the picture; None if there is none.
+    chart: Chart | None = None  #: the picture, if there is one.
 
 
-def html_of(thing: object) -> str:
-    """Return the table and the picture of an object as HTML."""
+def views_of(thing: object) -> dict[str, str]:
+    """Return the table and the picture of an object as HTML, and the table as text, by their media types."""
     summary = summary_of(thing)
+    width = max(len(name) for name, _ in summary.rows)
+    text = "\n".join([summary.title, *(f"  {name:<{width}}  {value}" for name, value in summary.rows)])
     rows = "".join(
         f'<tr><th style="text-align: left">{escape(name)}</th><td style="text-align: left">{escape(value)}</td></tr>'
         for name, value in summary.rows
     )
     head = f'<thead><tr><th colspan="2">{escape(summary.title)}</th></tr></thead>'
-    table = f"<table>{head}<tbody>{rows}</tbody></table>"
-    if summary.chart is None:
-        return table
-    picture = labelled(summary.chart().svg(), summary.title)
-    # its inks are dark, and a notebook may be
-    shown = f'<div style="background: #fff; width: 440px; max-width: 100%; {_STYLE}">{picture}</div>'
-    return f'<div style="display: flex; flex-wrap: wrap; align-items: flex-start">{table}{shown}</div>'
-
-
-def text_of(thing: object) -> str:
-    """Return the table of an object as lines of text."""
-    summary = summary_of(thing)
-    width = max(len(name) for name, _ in summary.rows)
-    return "\n".join([summary.title, *(f"  {name:<{width}}  {value}" for name, value in summary.rows)])
-
-
-def plot_of(thing: object, ax: "Axes | None") -> "Axes":
-    """Draw the picture of an object into axes, new ones if None, and return them.
-
-    Raises:
-        MissingDependencyError: matplotlib is not installed.
-    """
-    require("matplotlib", "a plot", "notebook")
-    if ax is None:
-        from matplotlib import pyplot
-
-        ax = pyplot.subplots(layout="constrained")[1]
-    summary = summary_of(thing)
-    if summary.chart is None:
-        ax.set(title=f"{summary.title}: no picture")
-    else:
-        draw_chart(summary.chart(), ax, summary.title)
-    return ax
-
-
-def draw_chart(chart: Chart, ax: "Axes", title: str) -> None:
-    """Draw a chart into matplotlib axes; boxes and labels are for the SVG alone."""
-    for element in chart.elements:
-        match element:
-            case ChartLine(x, y, colour, dashes, mark, width, _):
-                ax.plot(x, y, color=colour, lw=0.75 * width, ls=_linestyle(dashes), marker=mark, ms=4.5)
-            case ChartArea(points, colour, opacity):
-                ax.fill(*zip(*points, strict=True), color=colour, alpha=opacity, lw=0)
-            case _:
-                raise TypeError(f"matplotlib draws no {type(element).__name__} of a chart")
-    for entry in chart.legend:
-        if entry.dashes is None:
-            ax.fill([], [], color=entry.colour, alpha=0.4, lw=0, label=entry.name)
-        else:
-            style = _linestyle(entry.dashes)
-            ax.plot([], [], color=entry.colour, ls=style, marker=entry.mark, ms=4.5, label=entry.name)
-    ax.set(xlabel=chart.x.label, ylabel=chart.y.label, title=title)
-    if chart.square:  # matplotlib chooses limits that suit the shape of its axes
-        ax.set_aspect("equal", adjustable="datalim")
-    else:
-        for axis, name in ((chart.x, "x"), (chart.y, "y")):
-            ax.set(**{f"{name}scale": "log" if axis.log else "linear", f"{name}lim": (axis.low, axis.high)})
-            ax.set(**{f"{name}ticks": axis.shown_ticks, f"{name}ticklabels": axis.tick_labels})
-        ax.minorticks_off()
-        if chart.x.upright:
-            ax.tick_params(axis="x", rotation=90.0, labelsize=8.0)
-    if chart.down:
-        ax.invert_yaxis()
-    ax.grid(True, alpha=0.25)
-    if chart.legend:
-        ax.legend(fontsize=8.0)
-
-
-def _linestyle(dashes: str) -> str | tuple[float, tuple[float, ...]]:
-    if dashes == NO_LINE:
-        return "none"
-    return (0.0, tuple(0.5 * float(n) for n in dashes.split())) if dashes else "-"
+    html = f"<table>{head}<tbody>{rows}</tbody></table>"
+    if summary.chart is not None:
+        picture = labelled(summary.chart.svg(), summary.title)
+        # its inks are dark, and a notebook may be
+        shown = f'<div style="background: #fff; width: 440px; max-width: 100%; {_STYLE}">{picture}</div>'
+        html = f'<div style="display: flex; flex-wrap: wrap; align-items: flex-start">{html}{shown}</div>'
+    return {"text/html": html, "text/plain": text}
 
 
 def dataframe_of(thing: object) -> "DataFrame":
@@ -178,11 +113,8 @@ def _(design: Design) -> Summary:
         ("friction", f"{design.friction.value:g} ({design.friction.provenance})"),
     ]
 
-    def chart() -> Chart:
-        geometry = build_geometry(design)
-        return _body(np.outer(geometry.s, (0.0, 0.0, 1.0)), geometry.radius)
-
-    return Summary(f"design {design.name}", rows, chart)
+    geometry = build_geometry(design)
+    return Summary(f"design {design.name}", rows, _body(np.outer(geometry.s, (0.0, 0.0, 1.0)), geometry.radius))
 
 
 @summary_of.register
@@ -209,7 +141,7 @@ def _(model: ProbeModel) -> Summary:
         ("free shape", "bent by gravity as mounted" if free.ok else "buckles under its own weight"),
     ]
     shape = free.p_at(s) if free.ok else np.outer(s, (0.0, 0.0, 1.0))
-    return Summary(f"probe {model.name}", rows, lambda: _body(shape, radius))
+    return Summary(f"probe {model.name}", rows, _body(shape, radius))
 
 
 def _material(quantities: dict[str, Any]) -> list[tuple[str, str]]:
@@ -249,7 +181,7 @@ def _(prediction: Prediction) -> Summary:
         ("assumed until measured", assumed_text(prediction.assumptions)),
     ]
     located = any(c.predicted_error_mm is not None for c in prediction.conditions)
-    return Summary(f"prediction of {prediction.name}", rows, (lambda: error_chart(prediction)) if located else None)
+    return Summary(f"prediction of {prediction.name}", rows, error_chart(prediction) if located else None)
 
 
 @rows_of.register
@@ -274,10 +206,9 @@ def _(estimate: Estimate) -> Summary:
         ]
     elif estimate.candidates:
         rows.append(("candidates", f"{len(estimate.candidates)}"))
-    shape = estimate.shape if estimate.ok else None
-    if shape is None:
+    if not estimate.ok or estimate.shape is None:
         return Summary(f"estimate: {estimate.result}", rows)
-    return Summary("estimate of one reading", rows, lambda: _contact(estimate))
+    return Summary("estimate of one reading", rows, _contact(estimate))
 
 
 def _contact(estimate: Estimate) -> Chart:
@@ -288,19 +219,15 @@ def _contact(estimate: Estimate) -> Chart:
     view = [2, across]
     line = shape.p_at(np.linspace(0.0, length, STATIONS))[:, view] / MM
     ends = np.stack([p - _ARROW * length * force / np.linalg.norm(force), p])[:, view] / MM
-    ellipse = ends[1] + _ellipse(estimate.cov_surface_base[np.ix_(view, view)]) / MM
+    half_axes, axes = statistics.ellipsoid_95(estimate.cov_surface_base[np.ix_(view, view)])
+    turn = np.linspace(0.0, 2.0 * math.pi, 49)
+    ellipse = ends[1] + half_axes * np.stack([np.cos(turn), np.sin(turn)], axis=1) @ axes.T / MM
     chart = Chart.side_view(np.concatenate([line, ellipse, ends]), across)
     chart.line(line[:, 0], line[:, 1], COLOURS[1], name="probe")
     chart.line(ends[:, 0], ends[:, 1], COLOURS[3], width=2.4, name="force")
     chart.area(ellipse.tolist(), COLOURS[2], 0.3, "95 %")
     chart.points(p[2] / MM, p[across] / MM, COLOURS[2], "o", "touched point")
     return chart
-
-
-def _ellipse(cov: Array) -> Array:
-    half_axes, axes = statistics.ellipsoid_95(cov)
-    turn = np.linspace(0.0, 2.0 * math.pi, 49)
-    return np.asarray(half_axes * np.stack([np.cos(turn), np.sin(turn)], axis=1) @ axes.T)
 
 
 @rows_of.register
@@ -327,20 +254,7 @@ def _(fused: FusedEstimate) -> Summary:
         *((f"RMS error without the error of {name}", f"{rms / MM:.3g} mm") for name, rms in fused.rms_without.items()),
         *((f"RMS error with {name}", f"{rms / MM:.3g} mm") for name, rms in fused.rms_with.items()),
     ]
-    return Summary("fused touches of one point", rows, lambda: _projections(fused.cov_surface_world))
-
-
-def _projections(cov: Array) -> Chart:
-    pairs = {"x and y": [0, 1], "x and z": [0, 2], "y and z": [1, 2]}
-    ellipses = {name: _ellipse(cov[np.ix_(pair, pair)]) / MM for name, pair in pairs.items()}
-    every = np.concatenate(list(ellipses.values()))
-    chart = Chart(
-        ChartAxis.spanning("error of the first axis [mm]", every[:, 0]),
-        ChartAxis.spanning("error of the second axis [mm]", every[:, 1]), square=True,
-    )  # fmt: skip
-    for (name, ellipse), colour, dashes in zip(ellipses.items(), COLOURS[1:], DASHES, strict=False):
-        chart.line(ellipse[:, 0], ellipse[:, 1], colour, dashes, name=f"95 %, {name}")
-    return chart
+    return Summary("fused touches of one point", rows)
 
 
 @rows_of.register
@@ -369,7 +283,7 @@ def _(fit: Identification) -> Summary:
         *(("caveat", caveat) for caveat in fit.caveats),
     ]
     drawn = any(residual.kind in ("markers", "wrenches", "touches") for residual in fit.residuals)
-    return Summary(f"identification of {fit.name}", rows, (lambda: residual_chart(fit)) if drawn else None)
+    return Summary(f"identification of {fit.name}", rows, residual_chart(fit) if drawn else None)
 
 
 def _interval(number: Identified) -> str:

@@ -19,7 +19,6 @@ from probedesign.probe import build_probe
 from probedesign.reports.chart import Chart, ChartAxis
 from probedesign.reports.comparison_page import best_design
 from probedesign.reports.html_page import ReportFigure, html_document
-from probedesign.reports.notebook import draw_chart
 from probedesign.reports.prediction_page import prediction_page
 
 DESIGNS = Path(__file__).parents[2] / "designs"
@@ -135,20 +134,6 @@ def test_lines_break_at_nan_and_names_are_escaped():
     assert drawn.count("stroke-linejoin") == 2 and "nan" not in drawn
     assert "x &amp; y" in drawn and "&lt;a&gt;" in drawn
     assert ElementTree.fromstring(drawn).tag.endswith("svg")
-
-
-def test_matplotlib_draws_the_same_elements():
-    axes = pytest.importorskip("matplotlib.figure").Figure().subplots()
-    chart = Chart(ChartAxis("x", 0.0, 4.0), ChartAxis("y [mm]", 0.1, 10.0, log=True), down=True)
-    chart.line([0, 1, 2], [0.1, math.nan, 4.0], "#000", "7 4", "o", "a")
-    chart.area([(0.0, 1.0), (4.0, 1.0), (4.0, 2.0)], "#f00", name="b")
-    draw_chart(chart, axes, "title")
-    drawn = axes.get_lines()[0]
-    assert drawn.get_xdata().tolist() == [0, 1, 2] and drawn.get_marker() == "o"
-    assert axes.patches[0].get_xy()[:3].tolist() == [[0.0, 1.0], [4.0, 1.0], [4.0, 2.0]]
-    assert (axes.get_yscale(), axes.get_xlim(), axes.get_ylim()) == ("log", (0.0, 4.0), (10.0, 0.1))
-    assert axes.get_yticks().tolist() == list(chart.y.shown_ticks)
-    assert [text.get_text() for text in axes.get_legend().get_texts()] == ["a", "b"]
 
 
 def test_square_axes_have_one_scale():
