@@ -116,7 +116,7 @@ def test_the_demo_page_is_there_at_once_and_ends_complete(workplace, monkeypatch
     """CAD and the card house are replaced: their own tests run them."""
     monkeypatch.setattr(demo, "_begin_parts", lambda design, folder, skipped: skipped.append("parts: left out"))
     monkeypatch.setattr(
-        demo, "_explore", lambda bundle, folder, skipped: skipped.append("explore: left out") or ({}, "")
+        demo, "_explore", lambda bundle, folder, skipped: skipped.append("explore: left out") or ([], "")
     )
     pages = []
     result = demo.run_demo(workplace / "d", False, lambda _: pages.append((workplace / "d/index.html").read_text()))

@@ -295,14 +295,6 @@ def test_doctor_looks_for_every_package_that_all_and_notebook_install():
     assert every == {package["requirement"] for package in doctor.examine()["packages"] if package["extra"]}
 
 
-def test_doctor_names_what_has_no_wheel_on_arm(monkeypatch):
-    monkeypatch.setattr(doctor.platform, "system", lambda: "Linux")
-    monkeypatch.setattr(doctor.platform, "machine", lambda: "aarch64")
-    without(monkeypatch, "lib3mf", "viser")
-    notes = {missing["extra"]: missing["note"] for missing in doctor.examine()["missing"]}
-    assert "lib3mf" in notes["cad"] and notes["view"] is None
-
-
 def without(monkeypatch, *names: str) -> None:
     installed = metadata.version
 

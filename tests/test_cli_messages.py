@@ -122,7 +122,7 @@ def replace_slow_and_local_parts(patch: pytest.MonkeyPatch) -> None:
     ]
     patch.setattr(photographs, "find_all", lambda *_: (tests, ["camera left: 20 control points"]))
     patch.setattr(photographs, "write_pixels", lambda data, *_: data / "pixels.csv")
-    patch.setattr("probedesign.cli.demo._explore", lambda *_: _[-1].append("explore needs mcap") or ({}, ""))
+    patch.setattr("probedesign.cli.demo._explore", lambda *_: _[-1].append("explore needs mcap") or ([], ""))
     patch.setattr("probedesign.studio.page.StudioPage.wait", lambda _: None)
     patch.setattr(metadata, "version", lambda name: missing() if name == "mcap" else "1.0")
     patch.setattr(platform, "machine", lambda: "machine")

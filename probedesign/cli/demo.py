@@ -14,12 +14,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 from probedesign.cli.console import print_json, print_step, write_files
-from probedesign.cli.export import FILE_KINDS
 from probedesign.cli.options import JsonOutput
 from probedesign.cli.predict import prediction_files
 from probedesign.core.errors import InputError, MissingDependencyError, require
 from probedesign.core.files import exports_of
-from probedesign.reports.html_page import REPORT_STYLE, ReportFigure, labelled, report_page
+from probedesign.reports.html_page import REPORT_STYLE, labelled
 
 if TYPE_CHECKING:
     from probedesign.estimation.estimator import Estimator
@@ -85,7 +84,7 @@ def run_demo(folder: Path, force: bool, show: Callable[[str], object]) -> dict[s
         show: receives the address of the page as soon as it exists.
 
     Returns:
-        made: each file with its purpose; page: the index page; skipped: reasons for files that could not be written;
+        made: each file; page: the index page; skipped: reasons for files that could not be written;
         numbers of located contacts and of touches; error_mm: RMS distance between located and true contact points;
         predicted_mm: the same from the estimates' own covariances.
 
@@ -94,8 +93,7 @@ def run_demo(folder: Path, force: bool, show: Callable[[str], object]) -> dict[s
     """
     from probedesign.design.io import new, notes_of, render_design, write_design
 
-    made: dict[str, str] = {}
-    skipped: list[str] = []
+    made, skipped = list[Path](), list[str]()
     sections = {name: demo_section(folder, name) for name in SECTIONS}
     print_step("designing a 150 mm cone, 12 mm at its base")
     design = folder / f"{NAME}.toml"
@@ -108,7 +106,7 @@ def run_demo(folder: Path, force: bool, show: Callable[[str], object]) -> dict[s
                 f"{folder} has files that the demo did not write. --force replaces them; --out names another folder"
             )
     write_design(text, design, force=True)
-    made[str(design)] = "the design; edit it and run the chain again"
+    made.append(design)
     import numpy as np
 
     from probedesign.frozen_probe import deploy_model, load_estimator
@@ -139,21 +137,17 @@ def run_demo(folder: Path, force: bool, show: Callable[[str], object]) -> dict[s
     exporting = _begin_parts(design, folder, skipped)
     begin("predicting (the first run compiles the rod and the estimator, half a minute)")
     prediction = probe.predict()
-    for file in write_files(folder, prediction_files(probe, prediction)):
-        made[str(file)] = "predicted sensitivity and contact error"
+    made += write_files(folder, prediction_files(probe, prediction))
     begin("bending the probe to a whisker")
-    made |= _whisker(probe, folder, finish)
+    made.append(_whisker(probe, folder, finish))
     begin("freezing the estimator and its geometry")
     bundle = deploy_model(probe.model, folder / f"{NAME}.probe.json")
-    made[str(bundle)] = "the frozen probe for estimate and live"
     begin("simulating a recording and locating its contacts")
     estimator = load_estimator(bundle)
     recording, contacts = folder / "recording.csv", folder / "contacts.csv"
     estimates = _simulate(estimator, recording)
-    write_files(folder, [(contacts.name, estimates.csv().encode()), ("touches.html", recording_page(estimates))])
-    made[str(recording)] = "a simulated recording: 20 mN, swept along the probe"
-    made[str(contacts)] = "the located contacts, one estimate per row"
-    made[str(folder / "touches.html")] = "the located contacts as a page"
+    pages = [(contacts.name, estimates.csv().encode()), ("touches.html", recording_page(estimates))]
+    made += [bundle, recording, *write_files(folder, pages)]
     names = [f"{kind}p_surface_base_{a}_mm" for kind in ("", "true_") for a in "xyz"]
     names += [f"cov_surface_base_{a}{a}_mm2" for a in "xyz"]
     located, true, variances = np.hsplit(np.array([[row[name] for name in names] for row in estimates.rows], float), 3)
@@ -174,7 +168,7 @@ def run_demo(folder: Path, force: bool, show: Callable[[str], object]) -> dict[s
     )
     begin("touching a simulated card house")
     files, score = _explore(bundle, folder, skipped)
-    made |= files
+    made += files
     if (folder / "found/points.svg").exists():
         picture = f'<img src="found/points.svg" alt="{escape(SECTIONS["explore"][0])}">'
         finish("explore", f"A base touches a simulated card house with friction: {score}.", picture,
@@ -183,34 +177,30 @@ def run_demo(folder: Path, force: bool, show: Callable[[str], object]) -> dict[s
         finish("explore", skipped[-1])
     if exporting is not None:
         begin("building the parts")
-        made |= _end_parts(exporting, folder, skipped)
+        made += _end_parts(exporting, folder, skipped)
     write_page("")
-    made[str(page)] = "the page with all results"
-    return {"made": made, "page": str(page), "skipped": skipped, **result}
+    return {"made": [*map(str, [*made, page])], "page": str(page), "skipped": skipped, **result}
 
 
-def _whisker(straight: "Probe", folder: Path, finish: Callable[..., None]) -> dict[str, str]:
+def _whisker(straight: "Probe", folder: Path, finish: Callable[..., None]) -> Path:
     from probedesign.design.io import new, notes_of, render_design, write_design
     from probedesign.prediction.fused import SHOWN_N
     from probedesign.prediction.predict import FRACTIONS, HEADLINE_FRACTION, errors_over_directions
     from probedesign.probe import build_probe
     from probedesign.reports.prediction_charts import error_band_chart
 
-    drafted = new("whisker", length_mm=150.0, base_d_mm=12.0, axis="arc",
-                                  axis_bend_deg=60.0, axis_azimuth_deg=-90.0)  # fmt: skip
+    drafted = new("whisker", length_mm=150.0, base_d_mm=12.0, axis="arc", axis_bend_deg=60.0, axis_azimuth_deg=-90.0)
     path = folder / "whisker.toml"
     write_design(render_design(drafted, notes_of(drafted)), path, force=True)
     over = {name: errors_over_directions(probe.estimator(), FRACTIONS, (SHOWN_N,))
             for name, probe in (("straight", straight), ("along an arc of 60°", build_probe(drafted)))}  # fmt: skip
     before, after = (rows[FRACTIONS.index(HEADLINE_FRACTION)].median_error_mm for rows in over.values())
     text = (f"One reading of {1e3 * SHOWN_N:g} mN at {HEADLINE_FRACTION:g} of the length: {before:.2g} mm straight, "
-            f"{after:.2g} mm in the median direction along an arc.")  # fmt: skip
-    caption = "Line: median of all directions; band: from the best to the worst, in the plane of the arc."
-    chart = error_band_chart(over).svg()
-    figure = ReportFigure("Contact error of one reading along the probe", caption, chart)
-    write_files(folder, [("comparison.html", report_page("Straight or curved", [], None, [figure], verdict=text))])
-    finish("whisker", f"{text} {caption}", labelled(chart, SECTIONS["whisker"][0]), [(path.name, "its design file")])
-    return {str(path): "the same probe along an arc", str(folder / "comparison.html"): "both errors beside each other"}
+            f"{after:.2g} mm in the median direction along an arc. Line: median of all directions; band: from the best "
+            "to the worst, in the plane of the arc.")  # fmt: skip
+    chart = labelled(error_band_chart(over).svg(), SECTIONS["whisker"][0])
+    finish("whisker", text, chart, [(path.name, "its design file")])
+    return path
 
 
 #: Program of the process that exports the parts, on a core of its own; it prints the names of their files.
@@ -230,18 +220,15 @@ def _begin_parts(design: Path, folder: Path, skipped: list[str]) -> "subprocess.
                             stdout=subprocess.PIPE, stderr=subprocess.PIPE)  # fmt: skip
 
 
-def _end_parts(exporting: "subprocess.Popen[str]", folder: Path, skipped: list[str]) -> dict[str, str]:
+def _end_parts(exporting: "subprocess.Popen[str]", folder: Path, skipped: list[str]) -> list[Path]:
     printed, errors = exporting.communicate()
     if exporting.returncode:
         skipped.append(f"the parts were not exported: {(errors.splitlines() or ['the process was ended'])[-1]}")
-        return {}
-    files = {name: FILE_KINDS[Path(name).suffix].purpose
-             for name in [*json.loads(printed.splitlines()[-1]), "manifest.json"]}  # fmt: skip
-    files |= {name: "exploded view" for name in files if name.startswith("exploded")}
-    return {str(folder / name): purpose for name, purpose in files.items()}
+        return []
+    return [folder / name for name in [*json.loads(printed.splitlines()[-1]), "manifest.json"]]
 
 
-def _explore(bundle: Path, folder: Path, skipped: list[str]) -> tuple[dict[str, str], str]:
+def _explore(bundle: Path, folder: Path, skipped: list[str]) -> tuple[list[Path], str]:
     from probedesign.cli.explore import FILES, explore
     from probedesign.cli.options import BaseOptions, ReadingOptions, RehearsalOptions
 
@@ -259,9 +246,8 @@ def _explore(bundle: Path, folder: Path, skipped: list[str]) -> tuple[dict[str, 
             )
     except MissingDependencyError as error:
         skipped.append(str(error))
-        return {}, ""
-    files = {str(maps / name): "points of a simulated card house" for name in FILES}
-    return files, printed.getvalue().splitlines()[-1]
+        return [], ""
+    return [maps / name for name in FILES], printed.getvalue().splitlines()[-1]
 
 
 def _simulate(estimator: "Estimator", recording: Path) -> "RecordingEstimates":

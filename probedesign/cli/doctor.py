@@ -23,8 +23,6 @@ ENABLES = {
     "foxglove": "live --foxglove: the server for Foxglove and PlotJuggler",
     "vision": "markers: photographs, calibration files",
 }
-#: Package of an extra that PyPI has no wheel of for Linux on ARM (aarch64, Python 3.11). Source: pypi.org, 2026-11.
-NO_WHEEL_ON_ARM = {"cad": "lib3mf"}
 
 
 def doctor(*, as_json: JsonOutput = False) -> int:
@@ -71,11 +69,7 @@ def _remedy(extra: str, missing: list[dict[str, str | None]]) -> dict[str, Any]:
     The command names the packages, not the extra, so it works without an index that has this package.
     """
     wanted = [f'"{package["requirement"]}"' for package in missing if package["extra"] == extra]
-    install = f"pip install {' '.join(wanted)}"
-    note = None
-    if extra in NO_WHEEL_ON_ARM and (platform.system(), platform.machine()) == ("Linux", "aarch64"):
-        note = f"{NO_WHEEL_ON_ARM[extra]} has no wheel for Linux on ARM; use another machine, or build it"
-    return {"extra": extra, "needed_for": ENABLES[extra], "install": install, "note": note}
+    return {"extra": extra, "needed_for": ENABLES[extra], "install": f"pip install {' '.join(wanted)}"}
 
 
 def _numba_cache() -> dict[str, Any]:
@@ -111,7 +105,6 @@ def _print(findings: dict[str, Any]) -> None:
     remedy = "" if cache["writable"] else "; set NUMBA_CACHE_DIR to a folder that can be written"
     print(f"compiled kernels: {cache['kernels']} for {cache['processor']}; {folder}{remedy}")
     for missing in findings["missing"]:
-        note = f" ({missing['note']})" if missing["note"] else ""
-        print(f"missing for {missing['needed_for']}{note}:\n  {missing['install']}")
+        print(f"missing for {missing['needed_for']}:\n  {missing['install']}")
     if not findings["missing"]:
         print("nothing is missing")

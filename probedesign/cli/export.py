@@ -4,7 +4,7 @@ import gc
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal
 
 from cyclopts import Parameter
 
@@ -13,26 +13,9 @@ from probedesign.cli.options import DesignFile, JsonOutput
 from probedesign.core.errors import InputError
 from probedesign.core.files import check_folder, exports_of
 
-
-class FileKind(NamedTuple):
-    """What a file of an export is used for, in one word, and what it is."""
-
-    use: str
-    purpose: str
-
-
-#: The kind of a file by its suffix.
-FILE_KINDS = {
-    ".3mf": FileKind("print", "to print"),
-    ".stl": FileKind("print", "to print"),
-    ".step": FileKind("CAD", "solids for CAD"),
-    ".html": FileKind("view", "assembly instructions"),
-    ".glb": FileKind("view", "assembly of all parts, in metres"),
-    ".svg": FileKind("view", "sheet of dimensions to check with calipers"),
-    ".png": FileKind("view", "preview"),
-    ".csv": FileKind("record", "parts to print and to buy"),
-    ".json": FileKind("record", "manifest with the results of all checks"),
-}
+#: What a file of an export is used for, by its suffix.
+FILE_USES = {".3mf": "print", ".stl": "print", ".step": "CAD", ".html": "view", ".glb": "view", ".svg": "view",
+             ".png": "view", ".csv": "record", ".json": "record"}  # fmt: skip
 
 
 def check(design: DesignFile, /, *, as_json: JsonOutput = False) -> int:
@@ -132,9 +115,9 @@ def _print(manifest: dict[str, Any]) -> None:
     from probedesign.design.catalog import assumed_text
 
     whole, checks, stacks = manifest["mass"]["whole"], manifest["verification"], manifest["tolerance_stacks"]
-    files: dict[str, list[str]] = {kind.use: [] for kind in FILE_KINDS.values()}
+    files: dict[str, list[str]] = {use: [] for use in FILE_USES.values()}
     for name in (*manifest["files"], "manifest.json"):
-        files[FILE_KINDS[Path(name).suffix].use].append(name)
+        files[FILE_USES[Path(name).suffix]].append(name)
     print(f"wrote {manifest['folder']}: {len(manifest['files']) + 1} files; assembly instructions: assembly.html")
     print_table(
         {
