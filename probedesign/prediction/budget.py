@@ -159,6 +159,7 @@ class LinearizedTouches:
         return known, root, gain
 
 
+SHARE = 0.95  #: Of the errors that lie within a radius.
 _NODES = 16
 _AT_ONCE = 512  # covariances: what fits into a cache
 _HALLEY = 3  # steps, each of which trebles the digits
@@ -170,21 +171,13 @@ _COS2 = np.tile(np.cos(_PHI) ** 2, _NODES)
 _WEIGHT = np.repeat(1.5 * ((_X + 1.0) / 2.0) ** 2 * _W, len(_PHI)) / len(_PHI)
 
 
-def radius_95(cov: Array, share: float = 0.95) -> float:
-    """Return the radius r with P(|e| ≤ r) = share for a normal error with zero mean; see `radii_95`.
-
-    Args:
-        cov: [m²], (3, 3), positive semidefinite.
-        share: in (0, 1).
-
-    Returns:
-        Radius [m]; NaN or infinite where the covariance is.
-    """
-    return float(radii_95(np.asarray(cov, dtype=float)[None], share)[0])
+def radius_95(cov: Array) -> float:
+    """Return `radii_95` of one covariance (3, 3)."""
+    return float(radii_95(np.asarray(cov, dtype=float)[None])[0])
 
 
-def radii_95(cov: Array, share: float = 0.95) -> Array:
-    """Return the radii for many covariances.
+def radii_95(cov: Array) -> Array:
+    """Return the radii r with P(|e| ≤ r) = 95 % for normal errors e with zero mean.
 
     With e of length ρ sqrt(uᵀ cov u), ρ² is chi-square of three degrees of freedom, independent of the direction u,
     which is uniform on the sphere. P is the mean over u of the chi-square distribution at r²/(uᵀ cov u), by
@@ -193,7 +186,6 @@ def radii_95(cov: Array, share: float = 0.95) -> Array:
 
     Args:
         cov: [m²], (n, 3, 3), each positive semidefinite.
-        share: in (0, 1).
 
     Returns:
         Radii [m], (n,); NaN or infinite where a covariance is.
@@ -205,23 +197,23 @@ def radii_95(cov: Array, share: float = 0.95) -> Array:
     for first in range(0, len(cov), _AT_ONCE):
         part = np.arange(first, min(first + _AT_ONCE, len(cov)))
         part = part[eigenvalues[part, 2] > 0.0]
-        radii[part] = np.sqrt(eigenvalues[part, 2]) * _of_largest(eigenvalues[part], share)
+        radii[part] = np.sqrt(eigenvalues[part, 2]) * _of_largest(eigenvalues[part])
     return np.asarray(radii)
 
 
-def _of_largest(eigenvalues: Array, share: float) -> Array:
+def _of_largest(eigenvalues: Array) -> Array:
     """Return radii relative to the longest axis, (n,), for ascending eigenvalues (n, 3)."""
     low, middle = (eigenvalues[:, i, None] / eigenvalues[:, 2, None] for i in (0, 1))
     across = low * _COS2 + middle * (1.0 - _COS2)
     inverse = 1.0 / np.sqrt(np.maximum(_C2 + (1.0 - _C2) * across, 1e-300))
-    line, disc, ball = (math.sqrt(float(chdtri(dof, 1.0 - share))) for dof in (1, 2, 3))
+    line, disc, ball = (math.sqrt(float(chdtri(dof, 1.0 - SHARE))) for dof in (1, 2, 3))
     r = (line**2 + (disc**2 - line**2) * middle + (ball**2 - disc**2) * low)[:, 0] ** 0.5
     for _ in range(_HALLEY):
         x = r[:, None] * inverse
         square = x * x
         bell = math.sqrt(2.0 / math.pi) * x * np.exp(-0.5 * square)
         slopes = bell * inverse
-        excess = (erf(x * math.sqrt(0.5)) - bell) @ _WEIGHT - share
+        excess = (erf(x * math.sqrt(0.5)) - bell) @ _WEIGHT - SHARE
         slope = (slopes * x) @ _WEIGHT
         bend = (slopes * inverse * (2.0 - square)) @ _WEIGHT
         r = r - 2.0 * excess * slope / (2.0 * slope * slope - excess * bend)

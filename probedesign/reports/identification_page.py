@@ -3,7 +3,6 @@
 import math
 
 import numpy as np
-from scipy.stats import chi2
 
 from probedesign.identification.result import Identification, Identified
 from probedesign.reports.chart import COLOURS, DASHES, MARKS, Chart, ChartAxis, LegendEntry
@@ -36,11 +35,9 @@ def identification_page(fit: Identification) -> bytes:
     sections = []
     if kinds & set(KINDS):
         caption = "Noise as stated, or as measured where that is larger. Tests are in the order of their table."
-        by_test = ReportFigure("Residuals by test", caption, residual_chart(fit).svg())
-        sections = [by_test, _normal(fit)]
+        sections.append(ReportFigure("Residuals by test", caption, residual_chart(fit).svg()))
     if "markers" in kinds:
         sections.append(_along(fit))
-    wrenches = [_wrenches(fit, "forces"), _wrenches(fit, "moments")] if "wrenches" in kinds else []
     if len(fit.correlated) > 1:
         sections.append(_correlation(fit))
     shares = [[cause, ", ".join(f"{share.of} {share.percent:.2g} %" for share in of)]
@@ -55,9 +52,7 @@ def identification_page(fit: Identification) -> bytes:
         rows = [outlier.words.split(": ", 1) for outlier in fit.outliers]
         outliers = HtmlTable(["reading", "distance from the fit"], rows, "Down-weighted in the fit.")
         after.append(("Outliers", outliers))
-    folded = [("Residuals of the wrenches", wrenches)]
-    title = f"{fit.name}: identified"
-    return report_page(title, about, _table(fit), sections, after, folded, verdict=verdict(fit))
+    return report_page(f"{fit.name}: identified", about, _table(fit), sections, after, verdict=verdict(fit))
 
 
 def verdict(fit: Identification) -> str:
@@ -120,31 +115,6 @@ def residual_chart(fit: Identification) -> Chart:
     return chart
 
 
-def _normal(fit: Identification) -> ReportFigure:
-    sizes = {"markers": 3, "wrenches": 6, "touches": 3}
-    lines = {}
-    for kind, k in sizes.items():
-        far = sorted(r.deviations for r in fit.residuals if r.kind == kind)
-        if len(far) > 2:
-            shares = (np.arange(len(far)) + 0.5) / len(far)
-            lines[kind] = (np.sqrt(chi2.ppf(shares, k) / k).tolist(), far)
-    high = max([v for x, y in lines.values() for v in (*x, *y)] + [2.0]) * 1.05
-    chart = Chart(
-        ChartAxis("quantile of normal noise [standard deviations]", 0.0, high),
-        ChartAxis("residual [standard deviations]", 0.0, high),
-    )
-    chart.line([0.0, high], [0.0, high], "#666666", "4 4", name="normal noise")
-    for kind, (x, y) in lines.items():
-        colour, mark = _SIGNS[kind]
-        chart.points(x, y, colour, mark, KINDS[kind])
-    return ReportFigure(
-        "Quantiles of the residuals",
-        "On the line the noise is as assumed; outliers are above its end. "
-        "Slightly below it is expected, since the parameters are fitted.",
-        chart.svg(),
-    )
-
-
 def _along(fit: Identification) -> ReportFigure:
     rows = [residual for residual in fit.residuals if residual.kind == "markers" and residual.s_mm is not None]
     places = sorted({residual.s_mm for residual in rows if residual.s_mm is not None})
@@ -167,28 +137,6 @@ def _along(fit: Identification) -> ReportFigure:
         "taper, the root or a camera differs from its model."
     )
     return ReportFigure("Residuals along the probe", caption, chart.svg())
-
-
-def _wrenches(fit: Identification, what: str) -> ReportFigure:
-    first, unit, size, letter = {"forces": (0, "mN", 1e3, "F"), "moments": (3, "µN·m", 1e6, "M")}[what]
-    residuals = size * np.array(
-        [residual.off[first : first + 3] for residual in fit.residuals if residual.kind == "wrenches"]
-    )
-    chart = Chart(
-        ChartAxis.named("", [f"{letter}{axis}" for axis in _AXES]),
-        ChartAxis.spanning(f"residual, measured - fitted [{unit}]", [*residuals.flat, 0.0]),
-    )
-    chart.line([0.5, 3.5], [0.0, 0.0], "#666666", "4 4")
-    colour, mark = _SIGNS["wrenches"]
-    spread = 0.7 * (np.arange(len(residuals)) / max(len(residuals) - 1, 1) - 0.5)
-    for channel in range(3):
-        chart.points(channel + 1 + spread, residuals[:, channel], colour, mark)
-    return ReportFigure(
-        f"Residuals of the {what}",
-        "At the base, from the first test at the left of each channel to the "
-        "last at its right: a slope indicates drift.",
-        chart.svg(),
-    )
 
 
 def _correlation(fit: Identification) -> ReportFigure:

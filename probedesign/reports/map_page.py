@@ -95,24 +95,14 @@ class MapScene:
         return corners if len(corners) else np.zeros((1, 3))
 
 
-@dataclass(frozen=True)
-class ParallelProjection:
-    """A parallel projection of the world."""
-
-    azimuth: float = math.radians(28.0)  #: of the eye about the world's z axis, from where it looks along y [rad].
-    elevation: float = math.radians(22.0)  #: of the eye above the ground [rad].
-
-    @property
-    def axes(self) -> Array:
-        """Return the directions to the right and up in the picture, in the world, (2, 3)."""
-        a, e = self.azimuth, self.elevation
-        right = (math.cos(a), math.sin(a), 0.0)
-        up = (-math.sin(a) * math.sin(e), math.cos(a) * math.sin(e), math.cos(e))
-        return np.array([right, up])
-
-    def project(self, points: Array) -> Array:
-        """Return points (n, 3) in the picture, right and up, (n, 2)."""
-        return np.asarray(np.asarray(points) @ self.axes.T)
+#: View of the still picture, and of the page before it is turned: azimuth of the eye about the world's z axis, from
+#: where it looks along y, and its elevation above the ground [rad].
+AZIMUTH, ELEVATION = math.radians(28.0), math.radians(22.0)
+#: Directions to the right and up in the picture, in the world.
+VIEW = np.array([
+    (math.cos(AZIMUTH), math.sin(AZIMUTH), 0.0),
+    (-math.sin(AZIMUTH) * math.sin(ELEVATION), math.cos(AZIMUTH) * math.sin(ELEVATION), math.cos(ELEVATION)),
+])  # fmt: skip
 
 
 TRUTH_COLOUR, SHAPE_COLOUR, GHOST_COLOUR = "#a08c5a", "#0b7a4b", "#8a4fbf"
@@ -204,12 +194,12 @@ NORMAL_LENGTH = 14.0  #: Length of a normal that lies in the plane of the pictur
 
 def map_svg(scene: MapScene) -> bytes:
     """Return the picture of a scene: points with 95 % ellipsoids and numbers."""
-    view, points, times = ParallelProjection(), scene.contact_map.points, scene.magnification
-    polygons = [view.project(polygon) / MM for polygon in scene.truth]
-    drawn = [view.project(line) / MM for shape in scene.shapes for line in shape.outlines]
-    ghost = [] if scene.ghost is None else [view.project(scene.ghost[:, :3]) / MM]
-    p = view.project(np.array([point.p_world for point in points]).reshape(-1, 3)) / MM
-    covs = view.axes @ np.array([point.cov_world for point in points]).reshape(-1, 3, 3) @ view.axes.T
+    points, times = scene.contact_map.points, scene.magnification
+    polygons = [polygon @ VIEW.T / MM for polygon in scene.truth]
+    drawn = [line @ VIEW.T / MM for shape in scene.shapes for line in shape.outlines]
+    ghost = [] if scene.ghost is None else [scene.ghost[:, :3] @ VIEW.T / MM]
+    p = np.array([point.p_world for point in points]).reshape(-1, 3) @ VIEW.T / MM
+    covs = VIEW @ np.array([point.cov_world for point in points]).reshape(-1, 3, 3) @ VIEW.T
     extents = times * statistics.sigmas_95(3) * np.sqrt(np.diagonal(covs, axis1=1, axis2=2)) / MM
     shown = np.concatenate([p - extents, p + extents, *polygons, *drawn, *ghost])
     low, high = (shown.min(axis=0), shown.max(axis=0)) if len(shown) else (np.zeros(2), np.zeros(2))
@@ -230,9 +220,9 @@ def map_svg(scene: MapScene) -> bytes:
     canvas.polylines([at(line) for line in ghost], 4.0, GHOST_COLOUR)
     for point, (x, y) in zip(points, placed, strict=True):
         if point.direction is not None:
-            end = (x, y) + NORMAL_LENGTH * (view.axes @ point.direction) * (1.0, -1.0)
+            end = (x, y) + NORMAL_LENGTH * (VIEW @ point.direction) * (1.0, -1.0)
             canvas.polylines([((x, y), end)], 1.0, scene.strokes[point.touches[0].probe])
-        half_axes, axes = statistics.ellipsoid_95(view.axes @ point.cov_world @ view.axes.T)
+        half_axes, axes = statistics.ellipsoid_95(VIEW @ point.cov_world @ VIEW.T)
         ry, rx = half_axes / MM * times * scale
         colour, turn = hex_colour(point.rms / MM), -math.degrees(math.atan2(axes[1, 1], axes[0, 1]))
         ellipse = element("ellipse", rx=rx, ry=max(ry, 0.4), fill=colour, fill_opacity=0.25, stroke=colour)
@@ -241,7 +231,7 @@ def map_svg(scene: MapScene) -> bytes:
     for i, (x, y) in enumerate(placed, 1):
         canvas.text((x + 5, y - 5), str(i), 10, "start", fill="#333")
     corner = np.array([50.0, HEIGHT - 50.0])
-    for name, end in zip("xyz", 30.0 * view.axes.T * (1.0, -1.0), strict=True):
+    for name, end in zip("xyz", 30.0 * VIEW.T * (1.0, -1.0), strict=True):
         canvas.polylines([(corner, corner + end)], 1.0, "#555")
         canvas.text(corner + 1.25 * end + (-3.0, 4.0), name, 11, "start", fill="#555")
     length = max((bar for bar in SCALE_BARS_MM if bar * scale <= 0.25 * WIDTH), default=SCALE_BARS_MM[0])
@@ -309,10 +299,10 @@ def map_page(scene: MapScene, title: str, about: Sequence[str]) -> bytes:
 
 
 def _data(scene: MapScene) -> dict[str, Any]:
-    view, film = ParallelProjection(), scene.film
+    film = scene.film
     step = {label: k for k, (label, _, _) in enumerate(film)}
     return {
-        "azimuth": view.azimuth, "elevation": view.elevation, "flat": 1.0, "centre": scene.centre_mm.tolist(),
+        "azimuth": AZIMUTH, "elevation": ELEVATION, "flat": 1.0, "centre": scene.centre_mm.tolist(),
         "radius": scene.radius_mm, "radius_95": statistics.sigmas_95(3), "normal": NORMAL_LENGTH, "hint": HINT,
         "truth": [(polygon / MM).tolist() for polygon in scene.truth], "truth_colour": TRUTH_COLOUR,
         "film": [[text, i] for _, text, i in film], "shape_colour": SHAPE_COLOUR, "ghost_colour": GHOST_COLOUR,

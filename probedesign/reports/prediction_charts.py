@@ -34,9 +34,8 @@ RESULT_LABELS = {
 }  # fmt: skip
 #: Contact fraction and force [N] of the touches whose shapes are drawn.
 TOUCHES = ((0.4, 0.05), (0.6, 0.03), (0.8, 0.02))
-#: Text and marker of each limit of the force.
-LIMITS = {"gives_way": ("buckling", "o"), "sensor": ("sensor's range", "s"), "slips_off": ("slips off", "v"),
-          "none": ("no limit found", "d")}  # fmt: skip
+#: Text of each limit of the force.
+LIMITS = {"gives_way": "buckling", "sensor": "sensor's range", "slips_off": "slips off", "none": "no limit found"}
 STATIONS = 81  #: Points of a centreline that is drawn.
 _PLACE = "contact position, fraction of the length"
 
@@ -67,11 +66,6 @@ def error_chart(prediction: Prediction) -> Chart:
     return chart
 
 
-def _shown(rows: Sequence[Any]) -> list[str]:
-    directions = list(dict.fromkeys(row.direction for row in rows))
-    return directions if len(directions) <= len(DIRECTIONS) else [*DIRECTIONS]
-
-
 def force_chart(prediction: Prediction) -> Chart:
     """Return the forces for detection, for given accuracies by one reading or by fused touches, and the limit."""
     k, curves = prediction.pressing.touches, dict[str, tuple[list[float], list[float]]]()
@@ -92,25 +86,6 @@ def force_chart(prediction: Prediction) -> Chart:
     chart = _along("contact force [mN]", [v for _, forces in curves.values() for v in forces])
     for (name, (x, y)), colour, dashes, mark in zip(curves.items(), COLOURS, DASHES, MARKS, strict=False):
         chart.line(x, y, colour, dashes, mark, name)
-    return chart
-
-
-def limit_chart(prediction: Prediction) -> Chart:
-    """Return the maximum force by direction; its marker shows what limits it."""
-    reach = [row for row in prediction.reach if row.greatest_force_N is not None]
-    chart = _along("maximum force [mN]", [_number(row.greatest_force_N, 1e3) for row in reach])
-    sides = _shown(prediction.reach)
-    for side, colour, dashes in zip(sides, COLOURS, DASHES, strict=False):
-        for limit, mark in (("", ""), *((limit, mark) for limit, (_, mark) in LIMITS.items())):
-            rows = [row for row in reach if row.direction == side and limit in ("", row.limit)]
-            x, y = [r.contact_fraction for r in rows], [_number(r.greatest_force_N, 1e3) for r in rows]
-            if limit:
-                chart.points(x, y, colour, mark)
-            else:
-                chart.line(x, y, colour, dashes, name=f"along {side}")
-    for limit, (name, mark) in LIMITS.items():
-        if any(row.limit == limit for row in reach):
-            chart.points([], [], "#666", mark, name)
     return chart
 
 

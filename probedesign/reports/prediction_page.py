@@ -1,6 +1,6 @@
 """The page of a prediction. A chart is added by one entry in `prediction_figures`."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,7 +21,6 @@ from probedesign.reports.prediction_charts import (
     error_map,
     force_chart,
     lateral_axis,
-    limit_chart,
     probe_chart,
     surface_map,
 )
@@ -102,7 +101,8 @@ def prediction_figures(prediction: Prediction, estimator: Estimator) -> Iterator
     yield PredictionFigure(
         force_chart(prediction), "Force thresholds",
         "Detected: with probability 0.5 at one false alarm an hour. Located: within the given RMS error, all sources "
-        "included. Limit: of the probe or of the sensor. Worst direction; a line is broken where no force suffices.",
+        "included. Limit: the probe buckles, an object at constant distance from the base slips off its tip, or the "
+        "range of the sensor ends. Worst direction; a line is broken where no force suffices.",
         group=_FORCES,
     )  # fmt: skip
     if fused := worst(prediction.fused, SHOWN_N):
@@ -111,17 +111,13 @@ def prediction_figures(prediction: Prediction, estimator: Estimator) -> Iterator
             "As before. Robot: position error of the base, independent between touches.", group=_ERRORS,
         )  # fmt: skip
     yield PredictionFigure(
-        limit_chart(prediction), "Maximum force", "Buckling: the probe becomes unstable. Slips off: an object "
-        "at constant distance from the base reaches the tip.", group=_FORCES,
-    )  # fmt: skip
-    yield PredictionFigure(
         bending_chart(estimator), "Deflection",
         f"{seen.capitalize()}; dots are the touches, along ±{'xy'[lateral]}.", _BENDING,
     )  # fmt: skip
 
 
-def prediction_page(prediction: Prediction, estimator: Estimator, more: Sequence[ReportFigure] = ()) -> bytes:
-    """Return the page of a prediction by an estimator of the same probe, with more sections at its end."""
+def prediction_page(prediction: Prediction, estimator: Estimator) -> bytes:
+    """Return the page of a prediction by an estimator of the same probe."""
     sag, fused = prediction.tip_sag_mm, prediction.fused_headline
     fused_mm = fused.predicted_error_mm
     sags = "it buckles under its own weight" if sag is None else f"the tip sags by {sag:.3g} mm"
@@ -137,7 +133,7 @@ def prediction_page(prediction: Prediction, estimator: Estimator, more: Sequence
     for figure in prediction_figures(prediction, estimator):
         section = ReportFigure(figure.heading, figure.caption, figure.chart.svg())
         sections.setdefault(figure.group, []).append(section)
-    shown_first = [*sections.pop("", []), *more]
+    shown_first = sections.pop("", [])
     sources = prediction.tolerances.sources(prediction.resin, prediction.length_mm * MM)
     rows = [[name, f"{getattr(prediction.tolerances, name):g}", source] for name, source in sources.items()]
     tables = list[tuple[str, HtmlTable]]()

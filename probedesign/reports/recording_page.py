@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from probedesign.core.frames import Array
+from probedesign.core.frames import Array, rotation_under_gravity
 from probedesign.core.statistics import rms, sigmas_95
 from probedesign.core.units import MILLINEWTON, MM
 from probedesign.design.catalog import assumed_text
@@ -227,7 +227,9 @@ def _data(
 ) -> dict[str, Any]:
     rod = estimator.model.rod
     chosen = np.unique(np.linspace(0, len(rows) - 1, min(len(rows), MAX_FRAMES)).round().astype(int))
-    view = upright(gravities[chosen[0]])
+    gravity = gravities[chosen[0]]
+    # with gravity downwards; without gravity the probe lies
+    view = rotation_under_gravity(gravity if np.any(gravity) else np.array([1.0, 0.0, 0.0]))
     largest = max(float(np.linalg.norm(_vector(row, "force_base_{}_N"))) for row in located)
     arrow = ARROW * rod.length / MM / largest
     frames = [_frame(estimator, rows[i], gravities[i], view, arrow) for i in chosen]
@@ -275,20 +277,6 @@ def _frame(estimator: Estimator, row: Row, gravity: Array, view: Array, arrow: f
     if np.isfinite(true).all():
         frame["true"] = _rounded(view @ true * MM)
     return frame
-
-
-def upright(gravity: Array) -> Array:
-    """Return the rotation from base axes to axes of a view with gravity along -z, (3, 3); the probe points along x.
-
-    A probe that points up or down keeps its x axis to the right; without gravity the probe lies.
-    """
-    size = float(np.linalg.norm(gravity))
-    up = -np.asarray(gravity, dtype=float) / size if size > 0.0 else np.array([-1.0, 0.0, 0.0])
-    along = np.array([0.0, 0.0, 1.0]) - up[2] * up
-    if np.linalg.norm(along) < 1e-3:
-        along = np.array([1.0, 0.0, 0.0]) - up[0] * up
-    along /= np.linalg.norm(along)
-    return np.stack([along, np.cross(up, along), up])
 
 
 def _vector(row: Row, name: str) -> Array:

@@ -1,4 +1,4 @@
-"""Page and charts of a validation: measured and estimated, as the paper's figures 3 to 6 and its Table I."""
+"""Page and charts of a validation: measured and estimated, as the paper's figure 3 and its Table I."""
 
 import math
 from collections.abc import Sequence
@@ -8,13 +8,12 @@ import numpy as np
 from scipy.stats import chi2
 
 from probedesign.core.frames import Array
-from probedesign.core.units import MILLINEWTON, MM, N_MM, format_value
+from probedesign.core.units import MILLINEWTON, MM, format_value
 from probedesign.design.catalog import assumed_text
 from probedesign.estimation.model import ProbeModel
-from probedesign.reports.chart import COLOURS, DASHES, Chart, ChartAxis
+from probedesign.reports.chart import COLOURS, Chart, ChartAxis
 from probedesign.reports.html_page import HtmlTable, ReportFigure, report_page
 from probedesign.reports.prediction_charts import flanks
-from probedesign.rod.equilibrium import Equilibrium
 from probedesign.validation.validate import WHY, ErrorStatistics, ValidatedTest, ValidationReport
 
 MEASURED, ESTIMATED, CONTACT = COLOURS[0], COLOURS[1], COLOURS[2]
@@ -36,17 +35,6 @@ def error_size_chart(trials: Sequence[ValidatedTest]) -> Chart:
         here = np.array([(x, y) for of, x, y in errors if of == kind]).reshape(-1, 2)
         chart.points(here[:, 0], here[:, 1], colour, mark, kind if len(here) else "")
     return chart
-
-
-def internal_load(shape: Equilibrium, what: str) -> tuple[Array, Array]:
-    """Return arclengths [m], (k,), and internal force [mN] or moment [N·mm], on both sides of the contact, (k, 3)."""
-    length = float(shape.s[-1])
-    s = np.linspace(0.0, length, POINTS)
-    contact = shape.s_contact
-    if shape.load[0:3].any() and 0.0 < contact < length:
-        s = np.sort(np.concatenate([s, [contact, contact + 1e-9]]))
-    values = shape.n_at(s) / MILLINEWTON if what == "force" else shape.states_at(s)[:, 3:6] / N_MM
-    return s, np.asarray(values)
 
 
 def lateral_axis(trial: ValidatedTest) -> int:
@@ -112,7 +100,7 @@ def validation_page(validation: ValidationReport) -> bytes:
     ]
     drawn = [trial for trial in validation.tests if trial.shape is not None or len(trial.markers_base)]
     shapes = [_shape(trial, model) for trial in drawn[:MAX_SHAPES]]
-    folded = [("Internal forces and moments", _internal_loads(validation)), (f"Shapes of {len(shapes)} tests", shapes)]
+    folded = [(f"Shapes of {len(shapes)} tests", shapes)]
     after = [("Results by test", _table(validation))]
     if validation.notes or len(drawn) > MAX_SHAPES:
         more = [f"{len(drawn) - MAX_SHAPES} more shapes are not shown"] if len(drawn) > MAX_SHAPES else []
@@ -190,27 +178,6 @@ def _figures(validation: ValidationReport) -> list[ReportFigure]:
                 "the quantiles of its distribution. Above the line the stated covariance is too small.",
                 nees.svg()),
     ]  # fmt: skip
-
-
-def _internal_loads(validation: ValidationReport) -> list[ReportFigure]:
-    free = next((t for t in validation.tests if t.kind == "free" and t.shape is not None), None)
-    located = [t for t in validation.tests if t.kind != "free" and t.shape is not None]
-    shown = [trial for trial in (free, located[len(located) // 2] if located else None) if trial is not None]
-    sections = []
-    for trial in shown:
-        assert trial.shape is not None
-        caption = "In base axes."
-        if trial.kind != "free":
-            caption += " At the contact the force jumps, and the moment by the couple of that force about the axis."
-        for what, unit in (("force", "mN"), ("moment", "N·mm")):
-            s, values = internal_load(trial.shape, what)
-            chart = Chart(ChartAxis("arclength s [mm]", 0.0, float(s[-1]) / MM),
-                          ChartAxis.spanning(f"internal {what} [{unit}]", values))  # fmt: skip
-            for i, (axis, dashes) in enumerate(zip("xyz", DASHES, strict=False)):
-                chart.line(s / MM, values[:, i], COLOURS[i + 1], dashes, name=axis)
-            heading = f"Internal {what}: {trial.test.name}, {_words(trial)}"
-            sections.append(ReportFigure(heading, caption, chart.svg()))
-    return sections
 
 
 def _words(trial: ValidatedTest) -> str:

@@ -126,7 +126,7 @@ class DesignFigures:
         rows += [
             Figure(fused.label, fused.predicted_error_mm, "mm", "fused" if self.complete else WAITING),
             Figure(f"largest force at {HEADLINE_FRACTION:g} L", force, "mN",
-                   LIMITS[weakest.limit][0] if self.complete else WAITING, False),
+                   LIMITS[weakest.limit] if self.complete else WAITING, False),
         ]  # fmt: skip
         rows += [
             Figure("tip sag", p.tip_sag_mm, "mm", "" if not self.buckles else "it buckles under its own weight"),

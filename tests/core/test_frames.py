@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.spatial.transform import Rotation
 
-from probedesign.core.frames import inverse, is_pose, pose, rotation_z, skew, wrench_map
+from probedesign.core.frames import inverse, is_pose, pose, rotation_under_gravity, rotation_z, skew, wrench_map
 
 EXACT = 1e-12  #: Tolerance for values of order one after a few dozen roundings in double precision.
 
@@ -67,6 +67,13 @@ def test_skew_is_the_cross_product(a, b):
 def test_rotation_z_turns_x_to_y():
     assert np.allclose(rotation_z(np.pi / 2) @ [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], atol=EXACT)
     assert np.allclose(rotation_z(0.3), Rotation.from_rotvec([0.0, 0.0, 0.3]).as_matrix(), atol=EXACT)
+
+
+@pytest.mark.parametrize("gravity", [(9.81, 0, 0), (0, 0, 9.81), (0, 0, -9.81), (3.0, -4.0, 5.0)])
+def test_gravity_points_down_in_the_world(gravity):
+    R = rotation_under_gravity(np.array(gravity, dtype=float))
+    assert np.allclose(R @ R.T, np.eye(3), atol=EXACT) and np.linalg.det(R) > 0.0
+    assert np.allclose(R @ gravity, [0.0, 0.0, -np.linalg.norm(gravity)], atol=10.0 * EXACT)
 
 
 @pytest.mark.parametrize(

@@ -333,8 +333,3 @@ def test_the_quantile_of_what_is_no_covariance():
     assert np.isnan(radius_95(np.full((3, 3), np.nan)))
     assert radius_95(np.diag([np.inf, 1.0, 1.0])) == np.inf
     assert radius_95(np.zeros((3, 3))) == 0.0
-
-
-@pytest.mark.parametrize("share", [0.5, 0.9, 0.99])
-def test_the_quantile_of_another_share(share):
-    assert radius_95(np.eye(3), share) == pytest.approx(np.sqrt(stats.chi2(3).ppf(share)), rel=1e-5)

@@ -14,7 +14,7 @@ from probedesign.live.recordings.csv import write_recording
 from probedesign.live.run import estimate_recording
 from probedesign.live.sources.sim import SimulatedSource
 from probedesign.probe import build_probe
-from probedesign.reports.recording_page import MAX_FRAMES, recording_page, replay_element, upright, verdict
+from probedesign.reports.recording_page import MAX_FRAMES, recording_page, replay_element, verdict
 from tests.reports.test_pages import DESIGNS
 
 
@@ -91,11 +91,3 @@ def test_a_long_recording_is_thinned(folder):
     rows = [row | {"time_s": row["time_s"] + 12.0 * i} for i in range(100) for row in estimates.rows]
     element = replay_element(estimator, rows, estimates.gravities * 100, "long")
     assert element.count('"t": ') == MAX_FRAMES
-
-
-@pytest.mark.parametrize("gravity", [(9.81, 0, 0), (0, 0, 9.81), (0, 0, -9.81), (3.0, -4.0, 5.0), (0, 0, 0)])
-def test_gravity_points_down_in_the_replay(gravity):
-    view = upright(np.array(gravity, dtype=float))
-    assert view @ view.T == pytest.approx(np.eye(3), abs=1e-12) and np.linalg.det(view) == pytest.approx(1.0)
-    size = np.linalg.norm(gravity)
-    assert view @ np.array(gravity) == pytest.approx([0.0, 0.0, -size], abs=1e-12)

@@ -16,7 +16,7 @@ from probedesign.design import check_design, load_design
 from probedesign.estimation.estimator import Estimator
 from probedesign.prediction.predict import predict_touch
 from probedesign.probe import build_probe
-from probedesign.reports.validation_page import estimated_contact, internal_load, known_contact, validation_page
+from probedesign.reports.validation_page import estimated_contact, known_contact, validation_page
 from probedesign.simulation.campaign_folder import make_campaign
 from probedesign.simulation.ground_truth import CampaignPlan
 from probedesign.validation.validate import COLUMNS, coverage_of, tare_weights, validate
@@ -109,20 +109,6 @@ def test_the_table_is_ordered_as_the_papers_and_is_complete(found, made):
             assert row["shape_rms_percent"] == pytest.approx(row["shape_rms_mm"] / 1.5)  # of 150 mm
     notes = "\n".join(found.notes)
     assert all(f"{trial.test.name} ({trial.kind}): {trial.result}" in notes for trial in found.unexpected)
-
-
-def test_force_and_moment_jump_by_the_contact_force_and_its_couple(found):
-    """The force acts on the surface: about the touched section's centre it has the couple ρ × F."""
-    trial = next(t for t in found.tests if t.kind == "touch" and t.shape is not None)
-    s, force = internal_load(trial.shape, "force")
-    _, moment = internal_load(trial.shape, "moment")
-    at = int(np.argmin(np.abs(s - trial.shape.s_contact)))
-    # a nanometre apart: weight and moment change by nothing that counts
-    np.testing.assert_allclose(force[at] - force[at + 1], 1e3 * trial.estimate.force_base, atol=1e-3)
-    estimate = trial.estimate
-    couple = np.cross(estimate.p_surface_base - trial.shape.p_at(s[at : at + 1])[0], estimate.force_base)
-    np.testing.assert_allclose(moment[at] - moment[at + 1], 1e3 * couple, atol=1e-3)
-    np.testing.assert_allclose(moment[-1], 0.0, atol=1e-9)  # shot from the free tip
 
 
 def test_a_wrong_modulus_shows_in_the_coverage(large, tmp_path):
