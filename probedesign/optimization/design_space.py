@@ -324,11 +324,6 @@ class DesignEvaluator:
         """Return the number of designs that were computed."""
         return len(self._cache)
 
-    @property
-    def errors_mm(self) -> list[float]:
-        """Return the errors of these designs in the order in which they were computed."""
-        return [metrics["error_mm"] for metrics in list(self._cache.values())]
-
     def design(self, x: Array) -> Design:
         """Return the design of a point, rounded as in its file."""
         return self.space.design(x[: self.space.size])

@@ -27,7 +27,6 @@ from probedesign.prediction.predict import (
     Prediction,
     predict,
 )
-from probedesign.printing.check import check_print
 from probedesign.probe import Probe, build_probe
 from probedesign.reports.chart import COLOURS, DASHES, MARKS, Chart, ChartAxis, line_colours
 from probedesign.reports.prediction_charts import LIMITS, budget_chart, direction_chart
@@ -184,6 +183,8 @@ def _figures(
 ) -> DesignFigures:
     model, frequency, findings = probe.model, math.nan, tuple[str, ...]()
     if not only_single:
+        from probedesign.printing.check import check_print
+
         frequency, check = natural_frequency(probe.rod, model.gravity_base), check_print(probe.design)
         findings = tuple(f"{finding.severity}: {finding.message}" for finding in (*check.errors, *check.warnings))
     prediction = predict(model, fractions, forces_N, only_single=only_single, on_progress=on_progress)
@@ -348,9 +349,7 @@ def budget_figure(figures: DesignFigures) -> Chart | None:
     return budget_chart(rows) if rows else None
 
 
-def summary_table(
-    figures: DesignFigures, pinned: Sequence[tuple[PinnedDesign, DesignFigures]], label: str = "this design"
-) -> str:
+def summary_table(figures: DesignFigures, pinned: Sequence[tuple[PinnedDesign, DesignFigures]]) -> str:
     """Return the figures as an HTML table, with the pinned designs and the difference to each."""
     rows = figures.summary()
     others = [(pin.label, {row.name: row for row in other.summary()}) for pin, other in pinned]
@@ -359,7 +358,7 @@ def summary_table(
     for row in rows:
         cells = "".join(_difference(row, by_name.get(row.name)) for _, by_name in others)
         body += f"<tr><td>{escape(row.name)}</td><td>{row.html}</td>{cells}</tr>"
-    return f"<table><tr><th></th><th>{escape(label)}</th>{head}</tr>{body}</table>"
+    return f"<table><tr><th></th><th>this design</th>{head}</tr>{body}</table>"
 
 
 def _difference(now: Figure, then: Figure | None) -> str:

@@ -11,7 +11,7 @@ import threading
 import time
 import webbrowser
 from collections.abc import Callable, Sequence
-from contextlib import redirect_stdout
+from contextlib import redirect_stdout, suppress
 from functools import lru_cache, partial
 from html import escape
 from pathlib import Path
@@ -48,7 +48,6 @@ from probedesign.studio.figures import (
     styled,
     summary_table,
 )
-from probedesign.studio.improve import ImproveTab
 from probedesign.studio.scene import StudioScene
 from probedesign.studio.session import MOUNTINGS, PinnedDesign, Session, StudioTouch, with_knots
 from probedesign.web.guard import PHONE_SCENE, PHONE_WIDTH, LoopbackServer, protect
@@ -129,7 +128,7 @@ class StudioPage:
         self._probe = build_probe(session.design)
         self.figures = preview(self._probe, self._forces)
         self._drawn: DrawnTouch | None = None
-        self._pending = {"prediction"}  # of prediction, search and cloud: what follows when the hand rests
+        self._pending = {"prediction"}  # of prediction and cloud: what follows when the hand rests
         self._kept: tuple[str, bool] | None = None  # message of an action, shown until the next change
         self._stopped = threading.Event()
         self._window = protect(TITLE, head=HEAD, on_link=lambda text: self._request(lambda: self._open_link(text)))
@@ -224,12 +223,8 @@ class StudioPage:
                 self._pending.clear()
 
     def _rest(self) -> None:
-        """Predict everything once the hand rests, and draw the path of a search; the next request ends both."""
-        try:
-            if "search" in self._pending:
-                if not self._improve.running:  # before the last state is shown
-                    self._pending.remove("search")
-                self._improve.show(lambda design: complete(design, self._yield))
+        """Predict everything once the hand rests; the next request ends it."""
+        with suppress(_RequestWaitsError):
             if "prediction" in self._pending:
                 self.figures = complete(self.session.design, self._yield)
                 self._pending.remove("prediction")
@@ -238,9 +233,6 @@ class StudioPage:
             if "cloud" in self._pending:
                 self._show_cloud()
                 self._pending.remove("cloud")
-        except _RequestWaitsError:
-            if self._improve.search is not None:
-                self._pending.add("search")
 
     def _yield(self, _step: str, _share: float | None) -> None:
         if not self._requests.empty():
@@ -299,12 +291,6 @@ class StudioPage:
             cloud: Any = gui.add_checkbox(f"{N_CLOUD} estimates of it, on as many prints", False)
             cloud.on_update(lambda _: self._request(lambda: self._refresh(moved=False)))
             self._touch: dict[str, Any] = {"cloud": cloud, "text": gui.add_html(""), "scatter": gui.add_html("")}
-        with tabs.add_tab("Improve"):
-            self._improve = ImproveTab(
-                gui, lambda: self._request(self._start_search),
-                lambda design: self._request(lambda: self._accept(design)),
-                lambda: self._request(self._improve.drop),
-            )  # fmt: skip
         with tabs.add_tab("Save"):
             pin = gui.add_button("Pin this design", icon=viser.Icon.PINNED)
             pin.on_click(lambda _: self._request(lambda: self._pin(self.session.pin)))
@@ -407,14 +393,6 @@ class StudioPage:
             )  # its name may be no file name
 
         self._request(act)
-
-    def _start_search(self) -> None:
-        self._improve.start(self.session.design)
-        self._pending.add("search")
-
-    def _accept(self, design: Design) -> None:
-        self._improve.drop()
-        self._load(design)
 
     # Show
 

@@ -219,14 +219,6 @@ def test_a_prediction_at_rest_that_fails_is_one_line_and_the_page_goes_on(page, 
     assert "failed" not in page._status.content
 
 
-def test_a_search_that_fails_is_one_line_and_the_page_goes_on(page, capsys, monkeypatch):
-    monkeypatch.setattr("probedesign.optimization.optimum.optimum", fail)
-    page._request(page._start_search)
-    wait_until(lambda: "The search failed: OSError" in page._improve._path.content)
-    assert "test_page.py" in capsys.readouterr().err
-    page.settle()
-
-
 def test_another_web_page_cannot_connect(page):
     """The handshake of a WebSocket from another origin is refused."""
     import viser
