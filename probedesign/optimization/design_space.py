@@ -324,10 +324,6 @@ class DesignEvaluator:
         """Return the number of designs that were computed."""
         return len(self._cache)
 
-    def design(self, x: Array) -> Design:
-        """Return the design of a point, rounded as in its file."""
-        return self.space.design(x[: self.space.size])
-
     def task_at(self, x: Array) -> Task:
         """Return the task with the point's own force."""
         if not self.with_force:
