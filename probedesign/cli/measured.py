@@ -102,8 +102,8 @@ def measured(
         changes, document = measured_print.scale_changes(scale, day), scale.as_dict()
         what, lines = _scale_lines(scale)
     elif calipers is not None:
-        readings, before = measured_print.read_calipers(calipers, start), build_probe(start).tolerances
-        fit = measured_print.fit_diameters(start, before, readings, calipers_std_mm)
+        readings = measured_print.read_calipers(calipers, start)
+        fit = measured_print.fit_diameters(start, build_probe(start).tolerances, readings, calipers_std_mm)
         changes, document = measured_print.diameter_changes(fit, start, day), fit.as_dict()
         what = f"{plural(fit.readings, 'reading')}; the former values are kept as comments"
         lines = [*_diameter_lines(fit), "the bow is not seen: diameters, in however many directions, are those of a "

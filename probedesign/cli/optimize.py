@@ -176,9 +176,9 @@ def _run(
     files, confirmed = [path], None
     try:
         if draws:
-            designs = [None if best.before.error_mm is None else search.start, best.design]  # a start may buckle
-            before, after = (each and confirm(each, best.task, draws, seed, on_progress) for each in designs)
-            confirmed = before, after
+            stable = best.before.error_mm is not None  # a start may buckle
+            before = confirm(search.start, best.task, draws, seed, on_progress) if stable else None
+            confirmed = before, confirm(best.design, best.task, draws, seed, on_progress)
     except InputError as error:
         raise InputError(f"{path} is written, but {error}") from None
     page = comparison_page(compare([search.start, best.design], best.task), best.task)
