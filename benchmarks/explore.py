@@ -29,7 +29,6 @@ from probedesign.core.units import MILLINEWTON, MM
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.model import ProbeModel, Tolerances
 from probedesign.frozen_probe import write_frozen
-from probedesign.mapping.touch_point import BasePoseUncertainty
 from probedesign.rod.friction import ASSUMED_FRICTION
 from probedesign.simulation.scenes import card_house, shared_targets, touch_targets
 from probedesign.simulation.simulated_run import RunErrors, SimulatedRun, simulate_run, write_run
@@ -63,7 +62,7 @@ def report(only: str = "") -> None:
     if only == "probes":
         return
     model = replace(paper_models()["large"], stiffness_spread=0.01)
-    with_rotation = RunErrors.from_priors(model, BasePoseUncertainty(), FRICTION)
+    with_rotation = RunErrors.from_priors(Tolerances.of(model), FRICTION)
     simulated = list(islice(_simulated_runs(model), FUSE_RUNS))
     exact = [_by_command(model, [one], seed, EXACT_ROTATION) for seed, one in enumerate(simulated[:COMMAND_RUNS])]
     rotated = [
@@ -100,7 +99,7 @@ def report(only: str = "") -> None:
 def report_probes(runs: int = COMMAND_RUNS) -> None:
     """Print the time and the errors of one probe and of two that touch the same house at the same time."""
     model, rows = replace(paper_models()["large"], stiffness_spread=0.01), list[list[str]]()
-    errors, alone = RunErrors.from_priors(model, BasePoseUncertainty(), FRICTION), 0.0
+    errors, alone = RunErrors.from_priors(Tolerances.of(model), FRICTION), 0.0
     for n in (1, 2):
         found, seconds = list[PointErrors](), list[float]()
         for seed in range(runs):

@@ -19,7 +19,7 @@ from probedesign.core.units import MILLINEWTON, MM
 from probedesign.estimation.estimator import Estimator
 from probedesign.mapping.contact_map import ContactMap, build_map
 from probedesign.mapping.segmentation import StationaryInterval, TouchSegment
-from probedesign.mapping.touch_point import BasePoseUncertainty, LocatedTouch, locate_touch
+from probedesign.mapping.touch_point import LocatedTouch, locate_touch, with_base
 from probedesign.rod.friction import ASSUMED_FRICTION, ASSUMED_SPREAD
 from probedesign.simulation.simulated_run import base_rotation
 
@@ -50,7 +50,7 @@ class SimulatedMap:
         """Draw probe, mount, sensor and robot."""
         self.rng, self.estimator = np.random.default_rng(seed), Estimator(paper_models()[probe])
         model = self.estimator.model
-        self.priors = BasePoseUncertainty.from_model(model).apply_to(self.estimator.priors)
+        self.priors = with_base(self.estimator.priors)
         self.perturbations = Perturbations.of(model, PriorStds.of(model), PRESSES)
         self._common = self.perturbations.draw(1, self.rng)
         self.touches: list[LocatedTouch] = []

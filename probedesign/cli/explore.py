@@ -82,6 +82,7 @@ def explore(
     """
     from probedesign.live.outputs.options import open_publisher
     from probedesign.mapping.explore import parse_min_separation
+    from probedesign.mapping.touch_point import describe_base
     from probedesign.simulation import simulated_run
     from probedesign.simulation.scenes import SOURCE, true_outlines
     from probedesign.web.home import refresh_home
@@ -112,7 +113,7 @@ def explore(
     cloud, rehearsed = scene.contact_map, sources == {SOURCE}
     if out is not None:
         probe = ", ".join(f"{model.name} {model.fingerprint}" for model in models)
-        uncertainty = [base.base(model).summary for model in models]
+        uncertainty = [describe_base(base.priors(each.estimator.priors)) for each in explorations.values()]
         notes = [*dict.fromkeys(titles), f"probe {probe}", _summary(cloud), *dict.fromkeys(uncertainty)]
         _write(out, replace(scene, truth=true_outlines(SOURCE) if rehearsed else ()), probe, notes, document)
         for model in models:
@@ -167,7 +168,7 @@ def _explorations(
     loaded = [load_estimator(path, manifest) for path in bundles]
     check_names([each.model.name for each in loaded])
     softest = max(each.priors.object_compliance for each in loaded)
-    priors = [base.base(each.model).apply_to(each.priors) for each in loaded]
+    priors = [base.priors(each.priors) for each in loaded]
     if one_object:
         priors = [replace(each, object_compliance=softest) for each in priors]
     return {
@@ -189,6 +190,7 @@ def _explore(
     """
     from probedesign.live.run import warm_up
     from probedesign.mapping.explore import check_poses
+    from probedesign.mapping.touch_point import describe_base
 
     exploration, of = explorations[name], f"{name}: " if len(explorations) > 1 else ""
     estimator = exploration.estimator
@@ -200,7 +202,9 @@ def _explore(
     with show_progress("loading the rod kernels"):
         warm_up(estimator, log, fusing=True)
         source = reading.open(recording, estimator.model, poses, log)
-    for note in (source.title, *source.notes, poses.title, *poses.notes, base.base(estimator.model).notice):
+    stated = describe_base(base.priors(estimator.priors))
+    change = "change it with --base-offset-mm, --base-repeat-mm, --tilt-deg, --clocking-deg"
+    for note in (source.title, *source.notes, poses.title, *poses.notes, f"{stated}; {change}"):
         log(note)
     with interrupt_on_termination(), suppress(KeyboardInterrupt):
         for touch in exploration.run(source, processing, poses, log):

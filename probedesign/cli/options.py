@@ -7,7 +7,7 @@ import json
 import math
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -19,13 +19,12 @@ from probedesign.core.files import EXPORTS, chosen_exports, file_in
 
 if TYPE_CHECKING:
     from probedesign.estimation.estimator import Estimator
-    from probedesign.estimation.model import ProbeModel
+    from probedesign.estimation.model import ProbeModel, Tolerances
     from probedesign.live.poses.base_poses import BasePoses
     from probedesign.live.processing.chain import ProcessingOptions
     from probedesign.live.sources.source import Source
     from probedesign.mapping.known_object import KnownObject, ObjectPose
     from probedesign.mapping.shapes import TouchSet
-    from probedesign.mapping.touch_point import BasePoseUncertainty
     from probedesign.optimization.objective import Task
 
 
@@ -274,17 +273,11 @@ class BaseOptions:
     clocking_deg: float | None = None
     """Standard deviation of the base's rotation about its z axis [deg]. Default: the design's, or 0.5 (assumed)."""
 
-    def base(self, model: "ProbeModel") -> "BasePoseUncertainty":
-        """Return the uncertainty of the base's pose; the tolerances of the model are the defaults.
+    def priors(self, tolerances: "Tolerances") -> "Tolerances":
+        """Return tolerances with the stated uncertainty of the base's pose; raises InputError if it is out of range."""
+        from probedesign.mapping.touch_point import BASE_OPTIONS, with_base
 
-        Raises:
-            InputError: a value is out of range.
-        """
-        from probedesign.mapping.touch_point import BasePoseUncertainty
-
-        given = {entry.name: getattr(self, entry.name) for entry in fields(BasePoseUncertainty)}
-        stated = {name: value for name, value in given.items() if value is not None}
-        return replace(BasePoseUncertainty.from_model(model), **stated)
+        return with_base(tolerances, **{name: getattr(self, name) for name in BASE_OPTIONS})
 
     def poses(self, log: Callable[[str], None], probes: Sequence[str], probe: str) -> "BasePoses | None":
         """Return the poses of a probe of several, None for a fixed base.
@@ -368,7 +361,8 @@ class RehearsalOptions:
             runs = []  # all of them before one is written
             for i, (model, part) in enumerate(zip(models, shared_targets(targets, len(models)), strict=True)):
                 rng = np.random.default_rng([self.seed, 1 + i] if i else self.seed)
-                errors = RunErrors.from_priors(model, base.base(model), self.friction, self.friction_spread)
+                priors = base.priors(Tolerances.of(model))
+                errors = RunErrors.from_priors(priors, self.friction, self.friction_spread)
                 runs.append((simulate_run(model, part, rng, errors), model, folders[i], rng, force))
             return [path for run in runs for path in write_run(*run)]
 

@@ -13,7 +13,7 @@ the same terms, and their difference is an observation of m. The bias, and the s
 belong to each touch alone.
 """
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -24,65 +24,43 @@ from probedesign.estimation.estimate import RESULTS, FusedEstimate
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.fusion import Fusion, Reading
 from probedesign.estimation.fusion_state import FusionState, channels_of
-from probedesign.estimation.model import ProbeModel, Tolerances, covariance
+from probedesign.estimation.model import Tolerances, covariance
 from probedesign.mapping.segmentation import TouchSegment
 
-#: Largest standard deviations accepted: beyond them errors are no longer linear in a rotation, and touches of one point
-#: no longer lie near each other. Assumed; the `[tolerances]` of a design allow as many degrees.
-MAX_STD_MM, MAX_STD_DEG = 10.0, 10.0
+#: Options of `explore` for the reported pose of the base, and the tolerance that each replaces.
+BASE_OPTIONS = {"base_offset_mm": "base_mm", "base_repeat_mm": "robot_mm", "tilt_deg": "tilt_deg",
+                "clocking_deg": "clocking_deg"}  # fmt: skip
+#: Largest standard deviation accepted [mm, deg]: beyond it errors are not linear in a rotation any more, and touches of
+#: one point do not lie near each other. Assumed; the `[tolerances]` of a design allow as many degrees.
+MAX_STD = 10.0
 
 
-@dataclass(frozen=True)
-class BasePoseUncertainty:
-    """Standard deviations of the reported base pose, in the units of the command line."""
+def with_base(tolerances: Tolerances, **stds: float | None) -> Tolerances:
+    """Return tolerances with other standard deviations of the reported base pose; None keeps that of the tolerances.
 
-    base_offset_mm: float = Tolerances.base_mm  #: of the position, constant for all poses, on each axis.
-    base_repeat_mm: float = Tolerances.robot_mm  #: of the position at each pose, on each axis.
-    tilt_deg: float = Tolerances.tilt_deg  #: of the rotation about the base's x and y axes, constant for all poses.
-    clocking_deg: float = Tolerances.clocking_deg  #: of the rotation about its z axis, constant for all poses.
+    Tilt and clocking are those of the base against the report, whether it turned on the sensor or with it.
 
-    def __post_init__(self) -> None:
-        """Raise InputError where a standard deviation is out of range."""
-        for entry in fields(self):
-            value = getattr(self, entry.name)
-            largest = MAX_STD_MM if entry.name.endswith("_mm") else MAX_STD_DEG
-            if not 0.0 <= value <= largest:
-                option = entry.name.replace("_", "-")
-                raise InputError(f"--{option} {value:g} is a standard deviation; it must lie in 0 ... {largest:g}")
+    Args:
+        tolerances: of probe, sensor and mount.
+        stds: by the names of `BASE_OPTIONS` [mm, deg].
 
-    @classmethod
-    def from_model(cls, model: ProbeModel) -> "BasePoseUncertainty":
-        """Return the uncertainty that the tolerances of a probe state."""
-        tolerances = Tolerances.of(model)
-        return cls(tolerances.base_mm, tolerances.robot_mm, tolerances.tilt_deg, tolerances.clocking_deg)
+    Raises:
+        InputError: one is out of range.
+    """
+    given = {name: value for name, value in stds.items() if value is not None}
+    for name, value in given.items():
+        if not 0.0 <= value <= MAX_STD:
+            option = name.replace("_", "-")
+            raise InputError(f"--{option} {value:g} is a standard deviation; it must lie in 0 ... {MAX_STD:g}")
+    return replace(tolerances, pose_deg=0.0, **{BASE_OPTIONS[name]: value for name, value in given.items()})
 
-    def apply_to(self, tolerances: Tolerances) -> Tolerances:
-        """Return tolerances of probe, sensor and mount with this uncertainty of the base pose.
 
-        Tilt and clocking are those of the base against the report, whether it turned on the sensor or with it.
-        """
-        return replace(
-            tolerances, base_mm=self.base_offset_mm, robot_mm=self.base_repeat_mm, tilt_deg=self.tilt_deg,
-            clocking_deg=self.clocking_deg, pose_deg=0.0,
-        )  # fmt: skip
-
-    @property
-    def rotation_std(self) -> Array:
-        """Return the standard deviations of the rotation about the base axes [rad], (3,)."""
-        return np.radians([self.tilt_deg, self.tilt_deg, self.clocking_deg])
-
-    @property
-    def summary(self) -> str:
-        """Return the standard deviations in one line."""
-        return (
-            f"base pose uncertainty: {self.base_offset_mm:g} mm common, {self.base_repeat_mm:g} mm per pose, "
-            f"tilt {self.tilt_deg:g}°, clocking {self.clocking_deg:g}°"
-        )
-
-    @property
-    def notice(self) -> str:
-        """Return the same line with the options that change it."""
-        return f"{self.summary}; change it with --base-offset-mm, --base-repeat-mm, --tilt-deg, --clocking-deg"
+def describe_base(tolerances: Tolerances) -> str:
+    """Return the standard deviations of the reported base pose in one line."""
+    return (
+        f"base pose uncertainty: {tolerances.base_mm:g} mm common, {tolerances.robot_mm:g} mm per pose, "
+        f"tilt {tolerances.tilt_deg:g}°, clocking {tolerances.clocking_deg:g}°"
+    )
 
 
 #: Standard deviation of the bias, in steps of the sensor's resolution, without readings of the free probe next to the

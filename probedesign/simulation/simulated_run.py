@@ -30,7 +30,6 @@ from probedesign.live.poses.pose_sources import POSE_COLUMNS
 from probedesign.live.recordings.csv import CsvRecorder
 from probedesign.live.recordings.mcap_write import McapRecorder
 from probedesign.mapping.contact_map import ContactMap
-from probedesign.mapping.touch_point import BasePoseUncertainty
 from probedesign.prediction.monte_carlo import perturbed_rod
 from probedesign.rod.friction import ASSUMED_FRICTION, ASSUMED_SPREAD, CoulombContact, CoulombSolver, draw_friction
 from probedesign.rod.rod import Rod
@@ -62,16 +61,12 @@ class RunErrors:
 
     @classmethod
     def from_priors(
-        cls,
-        model: ProbeModel,
-        base: BasePoseUncertainty,
-        friction: float = ASSUMED_FRICTION,
-        friction_spread: float = ASSUMED_SPREAD,
+        cls, priors: Tolerances, friction: float = ASSUMED_FRICTION, friction_spread: float = ASSUMED_SPREAD
     ) -> "RunErrors":
         """Return the errors that the priors of a probe and of its base pose state, with the friction of the object."""
-        x, y, z = base.rotation_std.tolist()
-        return cls(Tolerances.of(model).youngs_modulus, base.base_offset_mm * MM, base.base_repeat_mm * MM,
-                   rotation=(x, y, z), friction=friction, friction_spread=friction_spread)  # fmt: skip
+        tilt, clocking = math.radians(priors.tilt_deg), math.radians(priors.clocking_deg)
+        return cls(priors.youngs_modulus, priors.base_mm * MM, priors.robot_mm * MM,
+                   rotation=(tilt, tilt, clocking), friction=friction, friction_spread=friction_spread)  # fmt: skip
 
 
 TARE_TIME = 4.0  #: Free time at the start [s], for a tare.

@@ -104,7 +104,7 @@ def probe_rests(model, rng, n=12, added=3e-3, turn=(0.01, -0.02, 0.015), factor=
     for i, R in enumerate(rotations(n, rng)):
         g = R_pb.T @ R.T @ DOWN
         R_ws = R @ R_pb @ model.T_sensor_base[:3, :3].T
-        read = model._sensor_from_base @ rod.solve(g, mode="reference").wrench_base
+        read = model.to_sensor(rod.solve(g, mode="reference").wrench_base, np.zeros(3))
         read += point_masses([nominal.mass, added], [nominal.p_com, place], R_ws)
         found.append(Rest(REST * i, read + bias + drift[i] + std * rng.normal(size=6), std, R))
     mass = nominal.mass + added

@@ -14,7 +14,7 @@ from probedesign.estimation.fusion import Fusion, Reading
 from probedesign.estimation.fusion_state import HALF_NORMAL, channels_of
 from probedesign.estimation.model import Tolerances
 from probedesign.mapping.contact_map import build_map
-from probedesign.mapping.touch_point import BasePoseUncertainty, ConditionalPoint
+from probedesign.mapping.touch_point import ConditionalPoint, describe_base, with_base
 from probedesign.simulation.scenes import touch_targets
 from probedesign.simulation.simulated_run import RunErrors, simulate_run
 from tests.mapping.synthetic_touches import touch
@@ -115,11 +115,8 @@ def test_the_simulated_robot_stops_at_a_force(houses):
 
 
 def test_the_base_uncertainty_replaces_that_of_the_tolerances(estimator):
-    base = BasePoseUncertainty.from_model(estimator.model)
-    assert base == BasePoseUncertainty(0.05, 0.01, 0.2, 0.5) and base.rotation_std == pytest.approx(
-        np.radians([0.2, 0.2, 0.5])
-    )
-    priors = BasePoseUncertainty(0.3, 0.02).apply_to(estimator.priors)
-    assert (priors.base_mm, priors.robot_mm, priors.gain) == (0.3, 0.02, estimator.priors.gain)
+    priors = with_base(estimator.priors, base_offset_mm=0.3, base_repeat_mm=0.02, tilt_deg=None)
+    assert priors == replace(estimator.priors, base_mm=0.3, robot_mm=0.02, pose_deg=0.0)
+    assert describe_base(priors).endswith("0.3 mm common, 0.02 mm per pose, tilt 0.2°, clocking 0.5°")
     with pytest.raises(InputError, match="--clocking-deg 11"):
-        BasePoseUncertainty(clocking_deg=11.0)
+        with_base(priors, clocking_deg=11.0)

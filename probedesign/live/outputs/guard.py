@@ -85,8 +85,7 @@ class Guard(Sink):
         limits.check(model)
         self.stop = ""
         self._estimator, self._limits, self._send, self._log, self._name = estimator, limits, send, log, name
-        zero = model.to_base(np.zeros(6), np.zeros(3))
-        self._to_base = np.stack([model.to_base(unit, np.zeros(3)) - zero for unit in np.eye(6)])
+        self._to_base = model.to_base(np.eye(6), np.zeros(3))
         self._offset: Array | None = None  # of the base wrench of a sample to its excess over the free probe
         self._detector: Detector | None = None
         self._first: list[Block] | None = []

@@ -14,7 +14,7 @@ from time import monotonic
 import numpy as np
 
 from probedesign.core.errors import InputError
-from probedesign.estimation.bias import KnownBias
+from probedesign.core.frames import Array
 from probedesign.estimation.estimate import Estimate, FusedEstimate
 from probedesign.estimation.estimator import Estimator, Method
 from probedesign.live import Log
@@ -300,27 +300,27 @@ class Chain:
 
     def _step(self, batch: AveragedBatch, ready: float) -> Iterator[EstimateUpdate]:
         """Yield the estimate of a batch, if one is due; see `EstimateScheduler.is_due` for `ready`."""
+        time, reported, monitor = batch.reading.time, batch.reading.fault, self._monitor
         if math.isnan(self._first):
-            self._first = batch.reading.time
+            self._first = time
         # A fault of one sample is a fault of the whole batch: the mean would not show it.
-        reported = batch.reading.fault
         batch, fault = self._signals.check(batch)
-        self._signals.screen.report(batch.reading.time, self._log)
-        whole = batch.reading if reported or not fault else replace(batch.reading, fault=fault)
-        block, reading = self._at_pose(batch.block, whole)
-        T = None if self._poses is None else self._poses.at(reading.time)
+        self._signals.screen.report(time, self._log)
+        T = None if self._poses is None else self._poses.at(time)
         if self._poses is not None and (T is None) != self._pose_missing:
             self._pose_missing = T is None
-            why = f"{self._poses.reason(reading.time)}; no estimates until one is available"
+            why = f"{self._poses.reason(time)}; no estimates until one is available"
             self._log(why if T is None else "the base pose is available again")
-        self._faults.update(reading.time, "" if reported or self._pose_missing else reading.fault)
-        if self._base.leapt == reading.time and self._monitor is not None:
-            self._monitor.on_leap(reading.time)
+        batch = self._at_pose(batch, fault, T)
+        reading = batch.reading
+        self._faults.update(time, "" if reported or self._pose_missing else reading.fault)
+        if monitor is not None and self._base.leapt == time:
+            monitor.on_leap(time)
         if reading.stretch != self._stretch:  # readings are missing before this one
             self._stretch = reading.stretch
-            if self._monitor is not None:
-                self._monitor.on_interruption()
-        self._collect_tare(AveragedBatch(block, reading))
+            if monitor is not None:
+                monitor.on_interruption()
+        self._collect_tare(batch)
         if self._tare_collector is not None and not self._tare_collector.on_request:
             return
         if not self._zero_known and not reading.fault:
@@ -331,53 +331,68 @@ class Chain:
         if self._monitor is None or reading.fault or not self._zero_known:
             self._state = TouchState("", None if self._poses is None else FusedEstimate("out_of_range"))
         else:
-            self._state = self._monitor.update(AveragedBatch(block, reading), self.tare, T, self._motion)
+            self._state = self._monitor.update(batch, self.tare, T, self._motion)
         if self.scheduler.is_due(reading, ready):
-            yield self._estimate(reading)
+            yield self._estimate(reading, T)
 
-    def _estimate(self, reading: WrenchReading) -> EstimateUpdate:
-        """Return the estimate of a reading with the current state."""
-        drift = None if self._monitor is None else self._monitor.drift
-        estimate = Estimate("unobservable")
-        if not (self._zero_known or reading.fault):
-            estimate = Estimate("no_tare")
-        elif self._monitor is not None and self._monitor.warming_up and not reading.fault:
-            estimate = Estimate("warming_up")
-        elif self._monitor is not None and self._monitor.in_motion and self._touches_in_motion(reading, drift):
-            estimate = Estimate("in_motion")
-        elif self._options.estimates:
-            estimate = locate(self._estimator, reading, self.tare, self._options.method, drift)
-            self._contacts.locate(estimate, self._state.phase)
-            self._check_travel(reading, estimate)
-        elif self._poses is not None:  # touches are located later: one reading of each stop checks the poses
-            stopped = self._state.phase == "settled" and self._phase_before != "settled"
-            at_stop = locate(self._estimator, reading, self.tare, self._options.method, drift) if stopped else None
-            self._check_travel(reading, at_stop)
-        self._phase_before = self._state.phase
-        T = None if self._poses is None else self._poses.at(reading.time)
-        excess = NO_DRIFT if drift is None else drift.excess
-        wrench = UNKNOWN_WRENCH
+    def _at_pose(self, batch: AveragedBatch, fault: str, T: Array | None) -> AveragedBatch:
+        """Return a batch with the effective gravity at its time and without what a turning base adds, or with a fault.
+
+        `T` is the pose of the base; None if it is fixed, or its pose unknown.
+        """
+        block, reading = batch
+        if self._poses is None or self._motion is None:
+            return AveragedBatch(block, replace(reading, fault=fault)) if fault else batch
+        self._motion.update(reading.time)
+        if T is None:
+            reading = replace(reading, fault=fault or self._poses.reason(reading.time))
+        else:
+            leap, added = self._base.fault(reading.time, T), self._motion.inertia(T)
+            wrench, gravity = reading.wrench_sensor - added, self._motion.gravity(T)
+            reading = replace(reading, gravity_base=gravity, wrench_sensor=wrench, fault=fault or leap)
+            if added.any():
+                block = replace(block, wrench_sensor=block.wrench_sensor - added)
+        if self._base.leapt == reading.time:
+            self._motion.reset()
+        self._payload.add(reading, self._motion.at_rest and self._motion.explained)
+        return AveragedBatch(block, reading)
+
+    def _estimate(self, reading: WrenchReading, T: Array | None) -> EstimateUpdate:
+        """Return the estimate of a reading at a pose of the base, if that is known, with the current state."""
+        monitor, options, estimator = self._monitor, self._options, self._estimator
+        drift, moving = (None, False) if monitor is None else (monitor.drift, monitor.in_motion)
+        excess, wrench, estimate = NO_DRIFT if drift is None else drift.excess, UNKNOWN_WRENCH, Estimate("unobservable")
         if not reading.fault:
-            wrench = wrench_without_bias(self._estimator.model, reading, self.tare) - excess
+            wrench = wrench_without_bias(estimator.model, reading, self.tare) - excess
+        if reading.fault:
+            estimate = Estimate("out_of_range")
+        elif not self._zero_known:
+            estimate = Estimate("no_tare")
+        elif monitor is not None and monitor.warming_up:
+            estimate = Estimate("warming_up")
+        elif drift is not None and moving and estimator.with_drift(drift.steps).detects(wrench, reading.gravity_base):
+            estimate = Estimate("in_motion")
+        else:
+            # Where touches are located later, one reading of each stop checks the poses.
+            stopped, located = self._state.phase == "settled" != self._phase_before, None
+            if options.estimates or (stopped and T is not None):
+                located = locate(estimator, reading, self.tare, options.method, drift)
+            if options.estimates and located is not None:
+                estimate = located
+                self._contacts.locate(estimate, self._state.phase)
+            if T is not None:
+                self._check_travel(reading, T, located)
+        self._phase_before = self._state.phase
         stale = "pose" if self._poses is not None and T is None else ""
-        pose = UNKNOWN_POSE if T is None else T
-        return EstimateUpdate(reading, estimate, *self._state, pose, wrench, monotonic(), stale, self.contacts, excess,
+        return EstimateUpdate(reading, estimate, *self._state, UNKNOWN_POSE if T is None else T, wrench, monotonic(),
+                              stale, self.contacts, excess,
                               math.nan if self._motion is None else self._motion.time_to_rest)  # fmt: skip
 
-    def _touches_in_motion(self, reading: WrenchReading, drift: KnownBias | None) -> bool:
-        if reading.fault or drift is None:
-            return False
-        wrench = wrench_without_bias(self._estimator.model, reading, self.tare) - drift.excess
-        return self._estimator.with_drift(drift.steps).detects(wrench, reading.gravity_base)
-
-    def _check_travel(self, reading: WrenchReading, estimate: Estimate | None) -> None:
+    def _check_travel(self, reading: WrenchReading, T: Array, estimate: Estimate | None) -> None:
         """Check the travel of the base in a touch; a touch that fails has no point in the world.
 
         `estimate` is that of the reading; None if it was not located.
         """
-        T = None if self._poses is None or reading.fault else self._poses.at(reading.time)
-        if T is None or self._monitor is None:
-            return
         if self._state.phase not in ("touching", "settled"):
             self._travel.on_free(T)
         elif estimate is not None:
@@ -390,35 +405,6 @@ class Chain:
             if self._travel.fault:
                 self._state = self._state._replace(fused=FusedEstimate("inconsistent"))
         self._travel_faults.update(reading.time, self._travel.fault)
-
-    def _at_pose(self, block: Block, whole: WrenchReading) -> tuple[Block, WrenchReading]:
-        """Return samples and reading with the effective gravity at their time and without what a turning base adds."""
-        if self._motion is not None:
-            self._motion.update(whole.time)
-        reading = self._with_gravity(whole)
-        if self._motion is not None:
-            if self._base.leapt == reading.time:
-                self._motion.reset()
-            self._payload.add(reading, self._motion.at_rest and self._motion.explained)
-        if reading.wrench_sensor is not whole.wrench_sensor:
-            turning = reading.wrench_sensor - whole.wrench_sensor
-            block = replace(block, wrench_sensor=block.wrench_sensor + turning)
-        return block, reading
-
-    def _with_gravity(self, reading: WrenchReading) -> WrenchReading:
-        """Return the reading with the gravity of the base pose at its time, or with a fault if that pose is unknown."""
-        if self._poses is None:
-            return reading
-        T = self._poses.at(reading.time)
-        if T is None:
-            return replace(reading, fault=reading.fault or self._poses.reason(reading.time))
-        leap = self._base.fault(reading.time, T)
-        fault = reading.fault or leap
-        if self._motion is None:
-            return replace(reading, gravity_base=self._poses.gravity(T), fault=fault)
-        added, wrench = self._motion.inertia(T), reading.wrench_sensor
-        wrench = wrench - added if added.any() else wrench
-        return replace(reading, gravity_base=self._motion.gravity(T), wrench_sensor=wrench, fault=fault)
 
     def _collect_tare(self, batch: AveragedBatch) -> None:
         """Add a batch to the active tare; take the tare when its window is over."""

@@ -126,8 +126,7 @@ class MotionMonitor:
         self._payload_com = T[:3, :3].T @ (model.payload.p_com - T[:3, 3])
         g = model.gravity_base
         rod = np.stack([model.rod.solve(g + e).wrench_base - model.rod.solve(g - e).wrench_base for e in np.eye(3)]) / 2
-        payload = (model.to_base(np.zeros(6), np.zeros(3)) - np.stack([model.to_base(np.zeros(6), e)
-                   for e in np.eye(3)]))  # fmt: skip
+        payload = -np.stack([model.to_base(np.zeros(6), e) for e in np.eye(3)])
         self._per_rod = float(np.linalg.norm(model.whiten @ rod.T, 2))  # standard deviations per m/s²
         self._per_all = float(np.linalg.norm(model.whiten @ (rod + payload).T, 2))
         self.reset()

@@ -586,7 +586,7 @@ def _linearised(model: ProbeModel, x: Array, R: Array, gravity: Array, t: float,
 
         def rod(at: Array, factor: float = 1.0) -> Array:
             stiff = {name: share * factor * getattr(model.rod, name) for name in ("youngs_modulus", "shear_modulus")}
-            return model._sensor_from_base @ replace(model.rod, **stiff).solve(at).wrench_base
+            return model.to_sensor(replace(model.rod, **stiff).solve(at).wrench_base, np.zeros(3))
 
         w += rod(g)
         by_gravity = by_gravity + np.stack([rod(g + e) - rod(g - e) for e in _STEP * np.eye(3)], axis=1) / (2.0 * _STEP)

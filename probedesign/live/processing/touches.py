@@ -345,7 +345,7 @@ def touch_changes(model: ProbeModel, gravity: Array) -> Array:
             F = -(c * side + d * t) + along * (c * t - d * side) + around * np.cross(t, side)
             couple = np.cross(c * float(model.rod.radius_at(s)) * side, F)
             rows.append((F @ by_load[:, 0:3].T + couple @ by_load[:, 4:7].T).reshape(-1, 6))
-    changes = np.concatenate(rows) @ model._sensor_from_base.T / model.noise.std
+    changes = model.to_sensor(np.concatenate(rows), np.zeros(3)) / model.noise.std
     return np.asarray(changes / np.linalg.norm(changes, axis=1, keepdims=True), dtype=float)
 
 
