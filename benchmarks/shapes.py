@@ -122,11 +122,7 @@ def _perpendicular(normal: Array, rng: np.random.Generator) -> Array:
 def errors_of(shape: Shape, truth: Array) -> float:
     """Return the normalised squared error of a shape against exact places of the true one, (k, 3)."""
     free = list(KINDS[shape.kind].free)
-
-    def moved(by: Array) -> Shape:
-        return shape.moved(np.bincount(free, by, 6))
-
-    exact = least_squares(lambda by: moved(by).distances(truth)[0].ravel() / MM, np.zeros(len(free))).x
+    exact = least_squares(lambda by: shape.moved(by).distances(truth)[0].ravel() / MM, np.zeros(len(free))).x
     return float(exact @ np.linalg.solve(shape.cov[np.ix_(free, free)], exact))
 
 

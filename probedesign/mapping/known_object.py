@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -253,19 +253,14 @@ def _fitted(
         axis = np.cross(touches.force, normals)
         axis /= np.maximum(np.linalg.norm(axis, axis=1, keepdims=True), 1e-12)
         turned = axis * (np.arccos(cosine) / std_force)[:, None]
-        parts = [W @ distance, np.linalg.norm(np.einsum("nab,nb->na", W_each, beside), axis=1), turned.ravel()]
-        return np.concatenate([*(map(_soft, parts) if robust else parts), W_prior @ by])
+        off = np.linalg.norm(np.einsum("nab,nb->na", W_each, beside), axis=1)
+        return np.concatenate([W @ distance, off, turned.ravel(), W_prior @ by])
 
     scale = np.array([1e-3] * 3 + [1e-3 / of.gyration] * 3)
-    fit = least_squares(residuals, start, x_scale=scale, ftol=1e-4, max_nfev=15)
+    loss: Literal["huber", "linear"] = "huber" if robust else "linear"
+    fit = least_squares(residuals, start, x_scale=scale, ftol=1e-4, max_nfev=15, loss=loss, f_scale=2.0)
     jac = np.delete(np.asarray(fit.jac), np.arange(n, 2 * n), axis=0)  # beside a face is a bound, not a measurement
     return float(fit.cost), np.asarray(fit.x), jac.T @ jac
-
-
-def _soft(z: Array) -> Array:
-    """Return residuals whose squares grow as the absolute value beyond two standard deviations (Huber)."""
-    size = np.abs(z)
-    return np.asarray(np.where(size < 2.0, z, np.sign(z) * np.sqrt(np.maximum(4.0 * size - 4.0, 0.0))))
 
 
 def parse_pose(text: str) -> Array:

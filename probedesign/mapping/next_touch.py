@@ -203,9 +203,15 @@ def _hit(shape: Shape, x: Array) -> float:
     """Return the probability that a plane or an edge reaches a place, as far beyond its touches at either end."""
     if shape.kind not in ("plane", "edge"):
         return 1.0
-    beyond = [2.0 * max(low - at, at - high, 0.0) for (low, high), at in zip(shape.extent, shape.local(x), strict=True)]
-    each = zip(_extent_std(shape)[1], beyond, strict=True)
-    return math.prod(_excess(len(shape.touches), range_, far)[0] if far > 0.0 else 1.0 for range_, far in each)
+    each = zip(_extent_std(shape)[1], _beyond(shape, x), strict=True)
+    return math.prod(_excess(len(shape.touches), range_, far)[0] for range_, far in each if far > 0.0)
+
+
+def _beyond(shape: Shape, x: Array) -> list[float]:
+    """Return by how much a plane or an edge is wider than its touches if it reaches a place and as far at the other
+    end [m], (k,)."""
+    place, (low, high) = shape.places(x[None])[0], shape.extent.T
+    return [float(far) for far in 2.0 * np.maximum(low - place, place - high)]
 
 
 def _sides(shape: Shape) -> Array:
@@ -424,9 +430,8 @@ def _extent_gain(shape: Shape, x: Array) -> float:
 
     The excess lies beyond either end with equal probability.
     """
-    largest, n, place = 0.0, len(shape.touches), shape.local(x)
-    for (low, high), at, range_ in zip(shape.extent, place, _extent_std(shape)[1], strict=True):
-        beyond = 2.0 * max(low - at, at - high)
+    largest, n = 0.0, len(shape.touches)
+    for beyond, range_ in zip(_beyond(shape, x), _extent_std(shape)[1], strict=True):
         if beyond > 0.0:
             variance = _excess(n, range_)[1]
             (hit, if_hit), (miss, if_missed) = _excess(n, range_, beyond), _excess(n, range_, 0.0, beyond)

@@ -31,7 +31,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import Bounds, LinearConstraint, least_squares, milp
 from scipy.spatial.transform import Rotation
-from scipy.special import log_ndtr, ndtr
+from scipy.special import betaln, log_ndtr, ndtr
 
 from probedesign.core import statistics
 from probedesign.core.frames import Array
@@ -50,6 +50,8 @@ TIP_CONTACT = 1e-3  #: Standard deviation of the contact of a tip with a plane a
 SHARE_ACROSS = 0.9
 BENT = 0.15  #: Standard deviation of the angle by which a press bends the probe at the contact [rad]; assumed.
 FORCE_NOISE = 0.1  #: Standard deviation of the direction of a force by the sensor's noise [rad]: 0.5 mN of 5 mN.
+#: Log density of a touch without a shape: anywhere, with a force of any direction [1/m³ 1/sr].
+ALONE = -3.0 * math.log(WORKSPACE) - math.log(4.0 * math.pi)
 MISSED = 0.003  #: Probability with which a touch of a shape is too far from it to count as one.
 MIN_ODDS = math.log(20.0)  #: Logarithm of the least odds of a shape against separate touches.
 SAME_NORMAL = math.cos(math.radians(5.0))  #: Least cosine of the normals of two planes that are one; assumed.
@@ -74,9 +76,6 @@ KINDS = {
     "sphere": Kind((0, 1, 2, 5), 2, 5, 4),
     "cylinder": Kind((0, 1, 3, 4, 5), 2, 6, 5),
 }
-
-
-FLAT = ("plane", "edge", "corner", "tip")  #: Kinds without a radius.
 
 
 @dataclass(frozen=True)
@@ -118,12 +117,6 @@ class TouchSet:
             tuple(self.labels[i] for i in which),
         )  # fmt: skip
 
-    def without_forces(self, which: NDArray[np.bool_]) -> "TouchSet":
-        """Return the touches, some of them as points alone."""
-        return replace(
-            self, force=np.where(which[:, None], 0.0, self.force), beyond=np.where(which, np.nan, self.beyond)
-        )
-
     @property
     def own_cov(self) -> Array:
         """Return the covariance of each point [m²], (n, 3, 3)."""
@@ -150,9 +143,11 @@ class Shape:
     probabilities: dict[str, float] = field(default_factory=dict)  #: of each kind, for its touches.
 
     def moved(self, by: Array) -> "Shape":
-        """Return the shape with other parameters, (6,)."""
-        turn = Rotation.from_rotvec([by[3], by[4], 0.0]).as_matrix()
-        p, radius = self.p + self.frame @ by[:3], self.radius * math.exp(by[5])
+        """Return the shape with other free parameters of its kind, (k,)."""
+        every = np.zeros(6)
+        every[list(KINDS[self.kind].free)] = by
+        turn = Rotation.from_rotvec([every[3], every[4], 0.0]).as_matrix()
+        p, radius = self.p + self.frame @ every[:3], self.radius * math.exp(every[5])
         return Shape(self.kind, p, self.frame @ turn, radius, self.cov, self.extent, self.touches, self.forces)
 
     def distances(self, x: Array) -> tuple[Array, Array]:
@@ -187,11 +182,6 @@ class Shape:
             flat: Array = self.radius * (across * angle[:, None]) @ np.linalg.svd(across)[2][:2].T
             return flat
         return np.asarray(local[:, {"plane": [0, 1], "edge": [2]}.get(self.kind, [])])
-
-    def local(self, x: Array) -> Array:
-        """Return where a point (3,) lies along the axes in which a plane or an edge extends [m], (extents,)."""
-        local = (x - self.p) @ self.frame
-        return np.asarray(local[:2] if self.kind == "plane" else local[2:])
 
     def cov_at(self, x: Array) -> Array:
         """Return the covariance of the shape's points next to points (n, 3), across the shape alone [m²], (n, k, k)."""
@@ -320,22 +310,15 @@ class ShapeFit:
         log_forces = -0.5 * (angle / std) ** 2 - np.log(2.0 * math.pi * std**2)
         log_forces = np.where(np.any(f != 0.0, axis=1), log_forces, -math.log(4.0 * math.pi))
         if shape.kind == "plane":
-            log_forces = log_forces + _log_tip_contact(which)
+            log_forces += _log_tip_contact(which)
         else:
-            log_forces = log_forces + self._log_side_contact(shape, which)
+            # The side of a straight probe touches a round surface where its tangent is perpendicular to the normal.
+            # Places on the surface are uniform already, so agreement adds nothing.
+            sine = np.einsum("na,na->n", np.nan_to_num(which.tangent), shape.normals(which.p))
+            variance = BENT**2 + np.trace(which.own_cov, axis1=1, axis2=2) / 3.0 / shape.radius**2
+            side = SHARE_ACROSS * np.exp(-0.5 * np.arcsin(np.clip(sine, -1.0, 1.0)) ** 2 / variance)
+            log_forces += np.where(np.isfinite(which.beyond), np.log(side + 1.0 - SHARE_ACROSS), 0.0)
         return np.asarray(log_forces)
-
-    def _log_side_contact(self, shape: Shape, which: TouchSet) -> Array:
-        """Return the logarithm of how well the side of the probe agrees with a round surface, at most 0, (n,).
-
-        The side of a straight probe touches where its tangent is perpendicular to the normal. Places on the surface are
-        uniform already, so agreement adds nothing.
-        """
-        sine = np.einsum("na,na->n", np.nan_to_num(which.tangent), shape.normals(which.p))
-        variance = BENT**2 + np.trace(which.own_cov, axis1=1, axis2=2) / 3.0 / shape.radius**2
-        side = np.exp(-0.5 * np.arcsin(np.clip(sine, -1.0, 1.0)) ** 2 / variance)
-        known = np.isfinite(which.beyond)
-        return np.where(known, np.log(SHARE_ACROSS * side + 1.0 - SHARE_ACROSS), 0.0)
 
     def _std(self, shape: Shape, which: TouchSet) -> Array:
         """Return the standard deviation of the angle between force and normal about each axis [rad], (n,)."""
@@ -368,11 +351,11 @@ class ShapeFit:
             W, start = statistics.whiten(S), shape
 
             def residuals(by: Array, start: Shape = start, W: Array = W, std: Array = std) -> Array:
-                at = start.moved(_six(free, by))
+                at = start.moved(by)
                 return np.concatenate([W @ at.distances(which.p)[0].ravel(), _turned(at, which, std)[0]])
 
             def derivative(by: Array, start: Shape = start, W: Array = W, std: Array = std) -> Array:
-                at = start.moved(_six(free, by))
+                at = start.moved(by)
                 J = W @ by_parameters(at, which.p).reshape(len(W), 6)
                 return np.concatenate([J, _turned(at, which, std)[1]])[:, free]
 
@@ -387,7 +370,7 @@ class ShapeFit:
                     jac, by = np.asarray(solved.jac), solved.x
             except (ValueError, np.linalg.LinAlgError):
                 return None
-            shape, H = start.moved(_six(free, by)), jac.T @ jac
+            shape, H = start.moved(by), jac.T @ jac
             if shape.radius and not RADII[0] < shape.radius < RADII[1]:
                 return None
         if np.linalg.cond(H) > 1e14:
@@ -397,7 +380,7 @@ class ShapeFit:
         places = shape.places(which.p)
         extent = np.stack([places.min(axis=0), places.max(axis=0)], axis=1)
         shape = replace(shape, cov=cov, extent=extent, touches=which.labels, forces=which.force)
-        return replace(shape, odds=self._log_evidence(shape, which, H) - float(_log_without(which).sum()))
+        return replace(shape, odds=self._log_evidence(shape, which, H) - n * ALONE)
 
     def _framed(self, shape: Shape, which: TouchSet) -> Shape:
         """Return the shape at the middle of its touches, the axes of a plane along their spread."""
@@ -433,9 +416,9 @@ class ShapeFit:
 
     def best_of(self, kind: str, which: TouchSet, rng: np.random.Generator) -> Shape | None:
         """Return the shape of a kind with the largest odds that all touches support."""
-        without, extents = _log_without(which), np.full(KINDS[kind].extents, 0.05)
+        extents = np.full(KINDS[kind].extents, 0.05)
         starts = [seed for _, seed in _seeds(kind, which, rng)]
-        scores = [float((self._log_each(seed, which, extents) - without).sum()) for seed in starts]
+        scores = [float(self._log_each(seed, which, extents).sum()) for seed in starts]
         fits = [self.fitted(starts[i], which) for i in np.argsort(scores)[::-1][:3]]
         return max((shape for shape in fits if shape is not None), key=lambda shape: shape.odds, default=None)
 
@@ -488,24 +471,28 @@ class ShapeFit:
         """
         total = sum(shape.odds for shape in chosen)
         for sheet in [shape for shape in chosen if shape.rim]:
-            rivals = [shape for shape in candidates if not _same_sheet(shape, sheet)]
+            # The same sheet has two touches of the rim in common, and the normal by a few degrees.
+            rivals = [shape for shape in candidates if len(set(shape.rim) & set(sheet.rim)) < 2
+                      or abs(float(shape.frame[:, 2] @ sheet.frame[:, 2])) <= SAME_NORMAL]  # fmt: skip
             margin = total - sum(shape.odds for shape in self._packed(rivals))
-            touches = self.touches.without_forces(np.isin(self.touches.labels, sheet.rim))
-            side = np.where(touches.force @ sheet.frame[:, 2] < 0.0, -1.0, 1.0)  # a thin body is touched on both sides
-            touches = replace(touches, force=side[:, None] * touches.force).subset(self._indices(sheet.touches))
-            fit = self.fitted(sheet, touches) if margin >= MIN_ODDS else None
+            at_rim = np.isin(self.touches.labels, sheet.rim)  # these touches are points of the plane alone
+            side = np.where(self.touches.force @ sheet.frame[:, 2] < 0.0, -1.0, 1.0)  # a thin body has two sides
+            force = np.where(at_rim, 0.0, side)[:, None] * self.touches.force
+            touches = replace(self.touches, force=force, beyond=np.where(at_rim, np.nan, self.touches.beyond))
+            chosen_ones = touches.subset(self._indices(sheet.touches))
+            fit = self.fitted(sheet, chosen_ones) if margin >= MIN_ODDS else None
             if fit is not None:
                 sure = {"plane": 1.0 / (1.0 + math.exp(-margin))}
                 yield replace(fit, rim=sheet.rim, odds=sheet.odds, probabilities=sure)
 
     def _grown(self, kind: str, rng: np.random.Generator) -> Iterator[Shape]:
         """Yield shapes of a kind to which the touch that agrees best is added, one after the other."""
-        without, tried = _log_without(self.touches), set[bytes]()
+        tried = set[bytes]()
         for chosen, start in _seeds(kind, self.touches, rng):
             inside, shape = np.isin(np.arange(len(self.touches)), chosen), start
             extents = np.full(KINDS[kind].extents, 0.05)
             while True:
-                gain = np.where(inside, -math.inf, self._log_each(shape, self.touches, extents) - without)
+                gain = np.where(inside, -math.inf, self._log_each(shape, self.touches, extents) - ALONE)
                 inside[gain.argmax()] = True
                 if not gain.max() > 0.0 or inside.tobytes() in tried:
                     break
@@ -543,17 +530,21 @@ class ShapeFit:
         of, E = self.touches.subset(others), edge.frame
         local, J = (of.p - edge.p) @ E, _local_by_parameters(edge, of.p)
         along = (self.touches.p[i] - edge.p) @ E[:, 2]
-        std, tip, without = self._std(edge, of), _log_tip_contact(of), _log_without(of)
+        std, tip = self._std(edge, of), _log_tip_contact(of)
         std_edge, f_edge, f = self._std(edge, self.touches.subset(i)), edge.forces @ E, of.force @ E
         cov = np.einsum("xa,ixjy,yb->iajb", E, of.cov, E)
         own = np.einsum("iaib->iab", cov)
+
+        def axes(angle: float) -> tuple[Array, Array]:
+            """Return the direction of a sheet away from the edge, and its normal."""
+            c, s = math.cos(angle), math.sin(angle)
+            return np.array([c, s, 0.0]), np.array([-s, c, 0.0])
 
         def sheet(k: NDArray[np.intp], angle: float) -> tuple[float, float, float]:
             """Return the log odds of a sheet against separate touches of the face, its angle and the variance of it."""
             C = cov[k[:, None], :, k[None]]
             for _ in range(2):
-                d = np.array([math.cos(angle), math.sin(angle), 0.0])
-                n = np.array([-d[1], d[0], 0.0])
+                d, n = axes(angle)
                 g, depth, N = local[k] @ n, local[k] @ d, J[k].transpose(0, 2, 1) @ n
                 S = C @ n @ n + N @ edge.cov @ N.T
                 side = np.where(f[k] @ n < 0.0, -1.0, 1.0)
@@ -567,7 +558,7 @@ class ShapeFit:
                 return -math.inf, angle, 1.0 / h
             off = np.arccos(np.clip(side * (f[k] @ n), -1.0, 1.0)) / std[k]
             log_Z = -0.5 * chi2 - 0.5 * float(np.linalg.slogdet(2.0 * math.pi * S)[1])
-            log_Z += float((tip[k] - 0.5 * off**2 - np.log(2.0 * math.pi * std[k] ** 2) - without[k]).sum())
+            log_Z += float((tip[k] - 0.5 * off**2 - np.log(2.0 * math.pi * std[k] ** 2) - ALONE).sum())
             log_Z += float((math.log(2.0) + log_ndtr(-np.arcsin(np.clip(f_edge @ d, -1.0, 1.0)) / std_edge)).sum())
             log_Z += float(log_ndtr(depth / np.sqrt((C @ d @ d).diagonal())).sum())
             log_Z -= len(k) * math.log(max(depth.max(), EXTENTS[0])) + math.log(
@@ -586,20 +577,19 @@ class ShapeFit:
                 continue
             inside = np.array([j])
             while True:
-                d = np.array([math.cos(angle), math.sin(angle), 0.0])
-                n = np.array([-d[1], d[0], 0.0])
+                d, n = axes(angle)
                 if inside.tobytes() not in tried:
                     tried.add(inside.tobytes())
                     side = math.copysign(1.0, float(f[inside].sum(axis=0) @ n))
                     frame = E @ np.column_stack([(0.0, 0.0, side), d, side * n])
                     labels = edge.touches + tuple(of.labels[k] for k in inside)
-                    yield Shape("plane", edge.p, frame, touches=labels, rim=edge.touches, odds=edge.odds + odds)
+                    # Any share of the touches of edge and face may be of the face, in any choice of them.
+                    total = edge.odds + odds + float(betaln(len(inside) + 1, len(i) + 1))
+                    yield Shape("plane", edge.p, frame, touches=labels, rim=edge.touches, odds=total)
                 N, depth = J.transpose(0, 2, 1) @ n, local @ d
                 std_g = np.sqrt(n @ own @ n + ((N @ edge.cov) * N).sum(axis=1) + depth**2 * variance)
                 near = (np.abs(local @ n) < 4.0 * std_g) & (depth > -3.0 * np.sqrt(d @ own @ d))
-                grown = [
-                    (sheet(np.append(inside, k), angle), k) for k in of_face if near[k] and k not in inside
-                ]  # fmt: skip
+                grown = [(sheet(np.append(inside, k), angle), k) for k in of_face if near[k] and k not in inside]
                 better = max(grown, key=lambda candidate: candidate[0][0], default=None)
                 if better is None or better[0][0] < odds:
                     break
@@ -642,18 +632,6 @@ def missing(touches: TouchSet, shapes: Sequence[Shape]) -> str:
     return f"no shape: touch {' '.join(left)}; needed are touches that agree: {fewest}"
 
 
-def _same_sheet(shape: Shape, sheet: Shape) -> bool:
-    """Return whether a shape is a plane of the same edge and the same normal as a sheet, by a few degrees."""
-    shared = set(shape.rim) & set(sheet.rim)
-    return len(shared) > 1 and abs(float(shape.frame[:, 2] @ sheet.frame[:, 2])) > SAME_NORMAL
-
-
-def _six(free: list[int], by: Array) -> Array:
-    whole = np.zeros(6)
-    whole[free] = by
-    return whole
-
-
 def _turned(shape: Shape, which: TouchSet, std: Array) -> tuple[Array, Array]:
     """Return the residuals of the force directions, and their derivative by the six parameters.
 
@@ -690,11 +668,6 @@ def _log_tip_contact(which: TouchSet) -> Array:
     density = 2.0 * np.exp(-0.5 * np.nan_to_num(which.beyond) ** 2 / variance) / np.sqrt(2.0 * math.pi * variance)
     anywhere = 1.0 / (0.25 * WORKSPACE)  # along the distal half of a probe of half the workspace
     return np.where(known, np.log(np.maximum(density, 1e-300) / anywhere), 0.0)
-
-
-def _log_without(which: TouchSet) -> Array:
-    """Return the log density of each touch without a shape: anywhere, with a force of any direction, (n,)."""
-    return np.full(len(which), -3.0 * math.log(WORKSPACE) - math.log(4.0 * math.pi))
 
 
 def _log_extent(range_: float, n: int) -> float:

@@ -14,6 +14,7 @@ belong to each touch alone.
 """
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -52,7 +53,8 @@ def with_base(tolerances: Tolerances, **stds: float | None) -> Tolerances:
         if not 0.0 <= value <= MAX_STD:
             option = name.replace("_", "-")
             raise InputError(f"--{option} {value:g} is a standard deviation; it must lie in 0 ... {MAX_STD:g}")
-    return replace(tolerances, pose_deg=0.0, **{BASE_OPTIONS[name]: value for name, value in given.items()})
+    stated: dict[str, Any] = {BASE_OPTIONS[name]: value for name, value in given.items()}
+    return replace(tolerances, pose_deg=0.0, **stated)
 
 
 def describe_base(tolerances: Tolerances) -> str:

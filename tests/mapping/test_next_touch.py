@@ -115,7 +115,7 @@ def test_the_extent_of_an_edge_is_sought_beyond_its_ends(estimator):
         best = suggestion(estimator, "extent", [edge])
     except InputError:
         pytest.fail("an edge near the base is reachable")
-    place = float(edge.local(best.x)[0])
+    place = float(edge.places(best.x[None])[0, 0])
     assert not edge.extent[0, 0] <= place <= edge.extent[0, 1]
 
 
@@ -125,7 +125,7 @@ def test_the_probe_stays_above_its_lowest_point_and_beside_the_shapes_of_the_map
     edge = replace(ShapeFit(touches).best_of("edge", touches, rng), p=np.zeros(3))
     before = suggestion(estimator, "shapes", [edge])
     # a place beyond the touched part is worth its probability: the touch is at an end, not 25 mm beyond it
-    assert edge.extent[0, 0] - 3e-3 <= float(edge.local(before.x)[0]) <= edge.extent[0, 1] + 3e-3
+    assert edge.extent[0, 0] - 3e-3 <= float(edge.places(before.x[None])[0, 0]) <= edge.extent[0, 1] + 3e-3
     # a plane between base and contact, as wide as the probe is long
     middle, along = before.axis_world[7], before.axis_world[8] - before.axis_world[6]
     along /= np.linalg.norm(along)
