@@ -286,9 +286,9 @@ def _lost_stiffness(free: float, pushed: float) -> float:
 def _compliance(model: ProbeModel, s: float, angle: float, force: float) -> float:
     """Return the displacement of the contact by an additional dead force [m/N]; infinite where the probe buckles."""
     pushed = solve_frictionless(model.rod, model.gravity_base, s, angle, force)
-    if pushed.result != "ok":
+    if pushed.result != "ok" or pushed.equilibrium.sensitivity is None:
         return math.inf
-    return float(np.linalg.norm(pushed.sensitivity.d_position[:, :3]))
+    return float(np.linalg.norm(pushed.equilibrium.sensitivity.d_position[:, :3]))
 
 
 STEP = 1e-4  #: Relative step of the finite differences; the error prediction is smooth to about 1e-8.

@@ -8,7 +8,6 @@ counterpart that is linearised from one sweep (`rod.kernels.surface_contact`); s
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
 from probedesign.core.units import MILLINEWTON
-from probedesign.rod.equilibrium import Equilibrium, Sensitivity
+from probedesign.rod.equilibrium import Equilibrium
 from probedesign.rod.rod import Mode, Rod
 
 _MAX_ITERATIONS = 20  # of Newton's method; where they do not suffice, the load is increased in smaller steps
@@ -35,7 +34,6 @@ class _FollowingLoad(NamedTuple):
     axes: Array  #: of the section as columns x, y, tangent, (3, 3); meaningful only with "ok", as all that follows.
     load: Array  #: force, or force and couple, [N, N·m], (n,).
     jacobian: Array  #: of the residual by the load, (n, n).
-    by_s: Array  #: derivative of the load at a given equilibrium by the arclength, (n,).
 
 
 def _solve_following(rod: Rod, gravity: Array, s: float, unit: Array, magnitude: float, mode: Mode) -> _FollowingLoad:
@@ -93,13 +91,13 @@ def _newton(
         jacobian = np.eye(len(unit)) - turning[:, _BY_LOAD[: len(unit)]]
         misfit = load - magnitude * _turned(axes, unit)
         if (np.abs(misfit) <= close).all():
-            return _FollowingLoad("ok", eq, axes, load, jacobian, turning[:, 3])
+            return _FollowingLoad("ok", eq, axes, load, jacobian)
         load = load - np.linalg.solve(jacobian, misfit)
         if np.linalg.norm(load[0:3]) > 3.0 * magnitude * np.linalg.norm(unit[0:3]):  # left the sphere of all forces
             break
         tip = eq.tip
-    none = np.full(len(unit), np.nan)
-    return _FollowingLoad(result, eq, np.full((3, 3), np.nan), none, np.full((len(unit), len(unit)), np.nan), none)
+    nothing = np.full((len(unit), len(unit)), np.nan)
+    return _FollowingLoad(result, eq, nothing[:3, :3], nothing[0], nothing)
 
 
 def _turned(axes: Array, unit: Array) -> Array:
@@ -111,41 +109,20 @@ def _axes(column: Array) -> Array:
     return np.stack([column[3:6], column[9:12], column[0:3]], axis=-1)
 
 
-@dataclass(frozen=True)
-class FrictionlessContact:
-    """An equilibrium under a force normal to the rod's own bent surface."""
+class RodContact(NamedTuple):
+    """A contact with the rod; all but `result` and `equilibrium` is meaningful only with result "ok"."""
 
-    result: str  #: "ok" or the code of the failed equilibrium.
-    equilibrium: Equilibrium  #: with its sensitivity to force and s_contact.
-    force_base: Array  #: of the object on the rod [N], (3,).
-    #: derivative of the force, and of its couple on an elliptic rod, by (s_contact, angle, magnitude), (3 or 6, 3).
-    d_load: Array
-
-    @property
-    def sensitivity(self) -> Sensitivity:
-        """Return the sensitivity of the equilibrium to force and s_contact."""
-        assert self.equilibrium.sensitivity is not None, "a contact whose result is not ok has no sensitivity"
-        return self.equilibrium.sensitivity
-
-    @property
-    def d_wrench(self) -> Array:
-        """Return the derivative of the base wrench by (s_contact, angle, magnitude), (6, 3)."""
-        return self._total(self.sensitivity.d_wrench)
-
-    @property
-    def d_position(self) -> Array:
-        """Return the derivative of the contact point by (s_contact, angle, magnitude), (3, 3)."""
-        return self._total(self.sensitivity.d_position)
-
-    def _total(self, columns: Array) -> Array:
-        direct = np.zeros((columns.shape[0], 3))
-        direct[:, 0] = columns[:, 3]
-        return columns[:, _BY_LOAD[: len(self.d_load)]] @ self.d_load + direct
+    result: str  #: "ok" or the code of the equilibrium that was not found.
+    equilibrium: Equilibrium  #: of the rod under the contact.
+    s_contact: float  #: arclength where the line of action of the force passes the centreline [m].
+    p_contact_base: Array  #: point of the centreline there [m], (3,).
+    force_base: Array  #: force of the object on the probe [N], (3,).
+    p_surface_base: Array  #: touched point of the surface [m], (3,).
 
 
 def solve_frictionless(
     rod: Rod, gravity: ArrayLike, s_contact: float, angle: float, magnitude: float, mode: Mode = "fast"
-) -> FrictionlessContact:
+) -> RodContact:
     """Solve for the equilibrium under an object that pushes without friction.
 
     F = f (cos α u - sin α t), where u = x cos φ + y sin φ is the push seen in the bent section's own axes,
@@ -163,37 +140,21 @@ def solve_frictionless(
         mode: "fast" or "reference".
 
     Returns:
-        The contact; its numbers are finite only with result "ok". If the rod buckles, the result is "not_converged".
+        The contact, its equilibrium with columns "load" or "contact"; its numbers are finite only with result "ok". If
+        the rod buckles, the result is "not_converged".
     """
     s = min(s_contact, rod.flank_end)
-    radius, taper = float(rod.radius_at(s)), float(rod.taper_at(s))
-
-    def unit_load(angle: complex) -> Numbers:
-        e, t = np.array([-np.cos(angle), -np.sin(angle), 0.0]), _AXIS
-        reach, aside = outline(rod.flatness, e[0], e[1])
-        tan = taper * reach
-        cos = 1.0 / np.sqrt(1.0 + tan * tan)
-        couple = radius * cos * cos * aside * cos * (t - tan * e)  # the touched section is thinner by cos² α
-        return np.concatenate([-cos * (e + tan * t), couple])[: 3 if rod.flatness == 1.0 else 6]
-
-    unit = np.asarray(unit_load(angle).real, dtype=float)
+    e, t = np.array([-math.cos(angle), -math.sin(angle), 0.0]), _AXIS
+    reach, aside = (float(value) for value in outline(rod.flatness, e[0], e[1]))
+    tan = float(rod.taper_at(s)) * reach
+    cos = 1.0 / math.hypot(1.0, tan)
+    unit = -cos * (e + tan * t)
+    if rod.flatness != 1.0:  # the touched section is thinner by cos² α
+        unit = np.concatenate([unit, float(rod.radius_at(s)) * cos**3 * aside * (t - tan * e)])
     solved = _solve_following(rod, np.asarray(gravity, dtype=float), s, unit, magnitude, mode)
-    by_angle = magnitude * _turned(solved.axes, unit_load(angle + 1e-30j).imag / 1e-30)
-    by_s = magnitude * _turned(solved.axes, np.concatenate([np.zeros(3), unit[3:]])[: len(unit)])
-    direct = np.stack([solved.by_s - taper / radius * by_s, by_angle, _turned(solved.axes, unit)], axis=-1)
-    d_load = np.linalg.solve(solved.jacobian, direct).astype(float, copy=False)
-    return FrictionlessContact(solved.result, solved.equilibrium, solved.load[0:3], d_load)
-
-
-class RodContact(NamedTuple):
-    """A contact with the rod; all but `result` and `equilibrium` is meaningful only with result "ok"."""
-
-    result: str  #: "ok" or the code of the equilibrium that was not found.
-    equilibrium: Equilibrium  #: of the rod under the contact.
-    s_contact: float  #: arclength where the line of action of the force passes the centreline [m].
-    p_contact_base: Array  #: point of the centreline there [m], (3,).
-    force_base: Array  #: force of the object on the probe [N], (3,).
-    p_surface_base: Array  #: touched point of the surface [m], (3,).
+    eq, none = solved.equilibrium, np.full(3, np.nan)
+    p_contact, p_surface = (eq.p_contact_base, surface_point(rod, eq)) if solved.result == "ok" else (none, none)
+    return RodContact(solved.result, eq, s, p_contact, solved.load[0:3], p_surface)
 
 
 def solve_surface_force(
@@ -340,10 +301,7 @@ def solve_contact(
     """
     if friction_ratios is not None:  # the touched point lies opposite to the direction of the push
         return solve_surface_force(rod, gravity_base, s, push_angle + math.pi, normal_force, friction_ratios, mode)
-    contact = solve_frictionless(rod, gravity_base, s, push_angle, normal_force, mode=mode)
-    eq, none = contact.equilibrium, np.full(3, np.nan)
-    points = (eq.p_contact_base, contact.force_base, surface_point(rod, eq)) if contact.result == "ok" else 3 * (none,)
-    return RodContact(contact.result, eq, eq.s_contact, *points)
+    return solve_frictionless(rod, gravity_base, s, push_angle, normal_force, mode)
 
 
 Numbers = NDArray[Any]  #: Real or complex: derivatives are taken by complex steps.

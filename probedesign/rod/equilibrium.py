@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from probedesign.core.errors import InputError
-from probedesign.core.frames import Array, skew
+from probedesign.core.frames import Array
 from probedesign.rod.kernels.equations import ALL_COLUMNS, CONE, DENSITY, PARAMETERS, Body
 from probedesign.rod.kernels.steps import BLOCK, COLUMN, STATE, WIDE, WORK
 from probedesign.rod.kernels.sweep import REST_X, lane_of, states_at
@@ -52,26 +52,6 @@ class Sensitivity:
     def d_position(self) -> Array:
         """Return the derivatives of the contact point on the centreline [m per unit], (3, k)."""
         return self.d_contact[6:9]
-
-    @cached_property
-    def d_wrench_by_base_pose(self) -> Array:
-        """Return the derivative of the base wrench, in base axes, by a motion [δx; δθ] of the base, (6, 6).
-
-        The loads are fixed in the world: seen from the base, force, couple and gravity rotate by -δθ, δF = -δθ × F.
-        Needs all columns.
-        """
-        return np.hstack([np.zeros((6, 3)), self._by_turn(self.d_wrench)])
-
-    @cached_property
-    def d_position_by_base_pose(self) -> Array:
-        """Return the derivative of the contact point by [δx; δθ] of the base, in axes fixed in the world, (3, 6)."""
-        return np.hstack([np.eye(3), self._by_turn(self.d_position) - skew(self.frame[6:9])])
-
-    def _by_turn(self, columns: Array) -> Array:
-        if columns.shape[1] < ALL_COLUMNS:
-            raise InputError('derivatives by the base pose need columns = "all"')
-        F, g, C = self.load[0:3], self.load[3:6], self.load[9:12]
-        return columns[:, 0:3] @ skew(F) + columns[:, 7:10] @ skew(g) + columns[:, 4:7] @ skew(C)
 
 
 @dataclass(frozen=True)

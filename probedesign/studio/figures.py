@@ -30,7 +30,7 @@ from probedesign.prediction.predict import (
 from probedesign.probe import Probe, build_probe
 from probedesign.reports.chart import COLOURS, DASHES, MARKS, Chart, ChartAxis, line_colours
 from probedesign.reports.prediction_charts import LIMITS, budget_chart, direction_chart
-from probedesign.rod.contact import FrictionlessContact, solve_frictionless, surface_point
+from probedesign.rod.contact import RodContact, solve_frictionless
 from probedesign.rod.equilibrium import Equilibrium
 from probedesign.rod.rod import natural_frequency
 from probedesign.studio.session import PinnedDesign, StudioTouch
@@ -202,7 +202,7 @@ def errors_along(figures: DesignFigures, force_N: float) -> dict[float, float | 
 class DrawnTouch:
     """One touch as the sensor reads it."""
 
-    contact: FrictionlessContact  #: the equilibrium.
+    contact: RodContact  #: the equilibrium.
     s: float  #: arclength of the touched section [m].
     p_surface: Array  #: touched point [m], (3,).
     normal: Array  #: direction of the push at it, (3,).
@@ -217,7 +217,7 @@ def drawn_touch(probe: Probe, touch: StudioTouch) -> DrawnTouch | None:
     if touched.result != "ok":
         return None
     normal = touched.force_base / np.linalg.norm(touched.force_base)
-    return DrawnTouch(touched, s, surface_point(model.rod, touched.equilibrium), normal)
+    return DrawnTouch(touched, s, touched.p_surface_base, normal)
 
 
 def located(probe: Probe, drawn: DrawnTouch) -> Estimate:
@@ -251,7 +251,7 @@ def estimate_cloud(probe: Probe, drawn: DrawnTouch, touch: StudioTouch, on_progr
     return np.array(points).reshape(-1, 3)
 
 
-def _touched(probe: Probe, touch: StudioTouch) -> tuple[float, FrictionlessContact]:
+def _touched(probe: Probe, touch: StudioTouch) -> tuple[float, RodContact]:
     """Return the arclength of the touched section [m], and the equilibrium."""
     model, force = probe.model, 1e-3 * touch.force_mN
     s = min(touch.fraction * probe.length, model.rod.flank_end)

@@ -1,4 +1,4 @@
-"""Test the frictionless contact: the force is normal to the bent surface and the derivatives are exact."""
+"""Test the frictionless contact: the force is normal to the bent surface."""
 
 import math
 
@@ -56,29 +56,6 @@ def test_the_equilibrium_is_that_of_the_force_it_names():
     np.testing.assert_allclose(touch.equilibrium.p_base[-1], eq.p_base[-1], atol=1e-10 * PROFILE.length)
 
 
-@pytest.mark.parametrize("name", RODS)
-@pytest.mark.parametrize(("fraction", "angle"), [(0.3, 0.4), (0.7, 2.0)])
-def test_derivatives_are_those_of_differences(name, fraction, angle):
-    rod, s = RODS[name], fraction * RODS[name].length
-    theta = np.array([s, angle, bending_force(rod, s, STRENGTH)])
-    steps = np.array([1e-4 * rod.length, 1e-3, 1e-3 * theta[2]])
-
-    def at(x):
-        touch = solve_frictionless(rod, GRAVITY, x[0], x[1], x[2], "reference")
-        assert touch.result == "ok"
-        return np.concatenate([touch.equilibrium.wrench_base, touch.equilibrium.p_contact_base, touch.force_base])
-
-    touch = solve_frictionless(rod, GRAVITY, *theta, "reference")
-    found = np.vstack([touch.d_wrench, touch.d_position, touch.d_load[:3]]) * steps
-    for j, h in enumerate(np.diag(steps)):
-        once, twice = at(theta + h) - at(theta - h), at(theta + 2 * h) - at(theta - 2 * h)
-        wanted = (8.0 * once - twice) / 12.0
-        for rows in (slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12)):
-            # h⁴ of the fifth derivative, 1e-12; rounding 1e-10 of Newton's stop over h of 1e-3 to 1e-4.
-            atol = 1e-5 * np.abs(wanted[rows]).max()
-            np.testing.assert_allclose(found[rows, j], wanted[rows], atol=atol)
-
-
 def test_fast_is_within_a_micrometre_of_reference():
     for name, rod in RODS.items():
         for fraction, angle in PLACES:
@@ -102,4 +79,4 @@ def test_a_push_of_next_to_nothing_leaves_the_free_rod(magnitude):
 def test_a_push_that_the_rod_cannot_hold_gets_a_code_and_no_numbers(magnitude, fraction):
     touch = solve_frictionless(CONE, GRAVITY, fraction * CONE.length, 0.3, magnitude)
     assert touch.result in ("not_converged", "unstable")
-    assert np.isnan(touch.force_base).all() and np.isnan(touch.d_load).all()
+    assert np.isnan(touch.force_base).all() and np.isnan(touch.p_surface_base).all()
