@@ -48,29 +48,20 @@ def _sources(probe: "Probe") -> "ErrorSources":
     return ErrorSources.of(model, replace(model.tolerances, tared=False), model.gravity_base, free)
 
 
-def _columns(probe: "Probe") -> None:
+def _touches(probe: "Probe") -> None:
     from probedesign.rod.kernels.surface_contact import TOUCH
 
     _sources(probe).columns_at(np.zeros(TOUCH))
 
 
-def _touches(probe: "Probe") -> None:
-    from probedesign.rod.kernels.surface_contact import ROWS, TOUCH, UNKNOWNS, linearise_touch, work_size
-
-    linearise_touch(
-        probe.model.rod.body, probe.model.gravity_base, probe.model.mass, 1e-6, np.zeros(TOUCH), 0,
-        np.empty(work_size(0)), np.empty((ROWS, 1 + UNKNOWNS)),
-    )  # fmt: skip
-
-
 def _fit(probe: "Probe") -> None:
     from probedesign.estimation.contact_fit import FIT_SCRATCH
-    from probedesign.estimation.multistart import FIT, MAX_STARTS, fit_contacts
+    from probedesign.estimation.multistart import EVERYWHERE, FIT, MAX_STARTS, fit_contacts
 
     model, sources = probe.model, _sources(probe)
     fit_contacts(
         model.rod.body, model.rod.flank_end, model.gravity_base, model.mass, np.zeros(6), np.zeros((6, 6)), 1.0,
-        *sources.arguments, False, np.empty(sources.room), np.empty(1, dtype=FIT_SCRATCH),
+        *sources.arguments, EVERYWHERE, np.empty(sources.room), np.empty(1, dtype=FIT_SCRATCH),
         np.empty(MAX_STARTS, dtype=FIT),
     )  # fmt: skip
 
@@ -89,7 +80,7 @@ def _live(probe: "Probe") -> None:
 
 #: What compiles the kernels of one subject, by calling them.
 PARTS: dict[str, Callable[["Probe"], None]] = {
-    "rod": _rod, "fit": _fit, "columns": _columns, "touches": _touches, "detector": _detector, "live": _live
+    "rod": _rod, "fit": _fit, "touches": _touches, "detector": _detector, "live": _live
 }  # fmt: skip
 
 

@@ -22,7 +22,6 @@ from probedesign.rod.kernels.surface_contact import (
     BY_TOUCH,
     CLAMPED,
     MOVE,
-    NO_PARAMETERS,
     NORMAL,
     PHI,
     TOUCH,
@@ -60,10 +59,11 @@ MIN_PUSH = 0.25  #: Share of the normal force that one iteration leaves at least
 MAX_FAILED = 2
 _SMALLEST = 1e-4  #: Share of a step below which it is not shortened any more.
 #: Memory that a fit works in beside its sweeps: of Gauss-Newton the touch before a step, residuals, their derivatives,
-#: normal equations and the step; of the weights the whitening by noise alone and a covariance; of the covariance the
-#: derivatives of s_contact, and touch, residuals and directions of the valley (see `uncertainty_kernel`).
+#: normal equations and the step; of a profile the touch to go on from; of the weights the whitening by noise alone and
+#: a covariance; of the covariance the derivatives of s_contact, and touch, residuals and directions of the valley (see
+#: `uncertainty_kernel`).
 FIT_SCRATCH = np.dtype([
-    ("before", "f8", TOUCH), ("J", "f8", (RESIDUALS, UNKNOWNS)), ("r", "f8", RESIDUALS),
+    ("before", "f8", TOUCH), ("kept", "f8", TOUCH), ("J", "f8", (RESIDUALS, UNKNOWNS)), ("r", "f8", RESIDUALS),
     ("H", "f8", (UNKNOWNS, UNKNOWNS)), ("full", "f8", (UNKNOWNS, UNKNOWNS)), ("b", "f8", UNKNOWNS),
     ("step", "f8", UNKNOWNS), ("scale", "f8", UNKNOWNS), ("move", "f8", MOVE),
     ("noise_whiten", "f8", (6, 6)), ("cov", "f8", (6, 6)), ("factor", "f8", (6, 6)), ("by_s", "f8", UNKNOWNS),
@@ -226,7 +226,7 @@ def fit_touch(measured, whiten, low, high, max_iterations, touch, sweep_work, li
     for iteration in range(max_iterations):
         # A size below 1e-6 would ask for steps finer than rounding.
         status, lack, margin, size = linearise(
-            measured.body, measured.gravity, measured.mass, tol, max(size, 1e-6), touch, NO_PARAMETERS, sweep_work, lin
+            measured.body, measured.gravity, measured.mass, tol, max(size, 1e-6), touch, 0, sweep_work, lin
         )
         merit = math.inf
         if status == OK and lack < math.inf:

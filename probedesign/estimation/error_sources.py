@@ -253,12 +253,27 @@ class ErrorSources:
         parameters = surface_contact.OWN + len(rod.s)
         lin = np.empty((surface_contact.ROWS, 1 + surface_contact.UNKNOWNS + parameters))
         D = np.empty((12, len(self.names)))
-        work = np.empty(surface_contact.work_size(parameters))
-        if not uncertainty_kernel.columns_of(
-            rod.body, self.gravity, self.model.mass, FINE, touch, self.arguments, work, lin, D
-        ):
+        if not self.linearise(touch, True, np.empty(surface_contact.work_size(parameters)), lin, D):
             lin[:], D[:] = np.nan, np.nan
         return lin, D
+
+    def linearise(self, touch: Array, settled: bool, work: Array, lin: Array, D: Array) -> bool:
+        """Fill in what `columns_at` returns; return whether there is a stable equilibrium.
+
+        Args:
+            touch: (TOUCH,).
+            settled: whether its dead loads and tip are made consistent in place.
+            work: scratch, (work_size(OWN + K),).
+            lin, D: filled.
+        """
+        body = self.model.rod.body
+        if not surface_contact.linearise_touch(
+            body, self.gravity, self.model.mass, FINE, touch, settled, lin.shape[1] - surface_contact.BY_PARAMETER,
+            work, lin,
+        ):  # fmt: skip
+            return False
+        uncertainty_kernel.columns_of(body, self.gravity, lin, *self.arguments, D)
+        return True
 
     def free_columns(self, free: Equilibrium) -> Array:
         """Return the columns of the free probe's reading, (6, J)."""

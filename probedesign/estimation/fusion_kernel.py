@@ -25,9 +25,7 @@ information matrix of (m, f, z, X, β); β, and X with it, walks from pose to po
 import math
 
 from probedesign.estimation.contact_fit import MIN_FRICTION
-from probedesign.estimation.uncertainty_kernel import SourceArrays, error_columns
 from probedesign.rod.kernels import inner, kernel
-from probedesign.rod.kernels.equations import OK
 from probedesign.rod.kernels.linalg import (
     backward,
     covariance_of,
@@ -49,7 +47,6 @@ from probedesign.rod.kernels.surface_contact import (
     VALUE,
     WRENCH,
     advance,
-    linearise,
     plan_move,
 )
 
@@ -61,6 +58,7 @@ PINNED = 1e-6  #: Standard deviation of a bias, in steps, below which it counts 
 #: Standard deviation of the step of a bias, in steps, with which a point walks where the bias does not: less would cost
 #: digits.
 STANDING = 1e-4
+STATED = 5  #: Unknowns at most whose covariance is computed.
 EXACT = 1e-8  #: Standard deviation of the base's place [m] below which a robot counts as exact.
 
 
@@ -73,28 +71,6 @@ def columns(causes: int) -> int:
 def rows_of(channels: int) -> int:
     """Return the number of rows of a pose's block before its own unknowns are eliminated."""
     return channels + 6
-
-
-@kernel
-def linearise_keyframe(body, gravity, mass, tol, touch, rod, base, root, gain, payload_by_gravity, sensor_from_base,
-                       base_from_sensor, reference, tared, work, lin, D):  # fmt: skip
-    """Linearise the touch of a pose with its error columns.
-
-    Args:
-        rod, ... tared: the error sources, see `SourceArrays`; as arguments of their own they reach the kernel faster.
-
-    Returns:
-        Whether the probe holds it.
-    """
-    sources = SourceArrays(
-        rod, base, root, gain, payload_by_gravity, sensor_from_base, base_from_sensor, reference, tared
-    )
-    parameters = rod.shape[1] + 3
-    status, lack, margin, _size = linearise(body, gravity, mass, tol, 1.0, touch, parameters, work, lin)
-    if status != OK or not lack < math.inf or not margin > 0.0:
-        return False
-    error_columns(body, gravity, lin, sources, D)
-    return True
 
 
 @inner
@@ -299,17 +275,6 @@ def admit(wrench, T, gravity_world, sensor_from_base, payload, limit, gravity):
     return True
 
 
-@kernel
-def apart(a, b):
-    """Return the distance of two poses [m]; a rotation of one radian counts as a tenth of a metre."""
-    moved = turned = 0.0
-    for i in range(3):
-        moved += (a[i, 3] - b[i, 3]) ** 2
-        for j in range(3):
-            turned += (a[i, j] - b[i, j]) ** 2
-    return math.sqrt(moved) + 0.1 * math.sqrt(0.5 * turned)
-
-
 @inner
 def _walk(A, eta, n, steps, M, L, inverse, link):
     """Let the last unknowns take a random step each; return what is taken off the misfit.
@@ -397,11 +362,11 @@ def _steps_of(walk, memory):
 def solve_work(causes: int) -> int:
     """Return the size of the scratch array of `solve_reduced`."""
     n = columns(causes) - 1
-    return n * n + 2 * n + 3 * WALKING * WALKING + 8 * n
+    return n * n + 2 * n + 3 * WALKING * WALKING + 2 * STATED * n
 
 
 @kernel
-def solve_reduced(reduced, order, walk, start, causes, chain, work, x, cov):
+def solve_reduced(reduced, order, walk, start, stated, chain, work, x, cov):
     """Solve for the common unknowns from the rows of all poses in the order of time.
 
     Args:
@@ -410,11 +375,11 @@ def solve_reduced(reduced, order, walk, start, causes, chain, work, x, cov):
         walk: variance of the step before each of those (that of the first is not used), of the bias [steps²] and of
             the point [m²], (p, 2).
         start: standard deviation of the bias at the first pose, in steps.
-        causes: J.
+        stated: the unknowns whose covariance is computed, (j,).
         chain: filled with what gives bias and point before each step again, (len(order), WALKING, n + 1).
         work: scratch, (solve_work(J),); the factor of the information and its scale stay at its front.
         x: filled: m, f, z, X and β of the last pose, (n,).
-        cov: of X and z, filled, (4, 4).
+        cov: of those, filled, (j, j).
 
     Returns:
         The least misfit squared, priors counted; NaN where there is none.
@@ -427,7 +392,7 @@ def solve_reduced(reduced, order, walk, start, causes, chain, work, x, cov):
     o += 2 * n
     M, L, inverse = work[o : o + 3 * WALKING * WALKING].reshape((3, WALKING, WALKING))
     o += 3 * WALKING * WALKING
-    rows, solved = work[o : o + 4 * n].reshape((4, n)), work[o + 4 * n : o + 8 * n].reshape((4, n))
+    rows, solved = work[o : o + 2 * STATED * n].reshape((2, STATED, n))
     for i in range(n):
         eta[i] = 0.0
         for j in range(n):
@@ -465,11 +430,11 @@ def solve_reduced(reduced, order, walk, start, causes, chain, work, x, cov):
     backward(A, n, x)
     for i in range(n):
         x[i] /= scale[i]
-    for a in range(4):
+    for a in range(stated.shape[0]):
         for i in range(n):
             rows[a, i] = 0.0
-        rows[a, first_point + (a if a < 3 else -1)] = 1.0
-    covariance_of(A, n, scale, rows, 4, solved, cov)
+        rows[a, stated[a]] = 1.0
+    covariance_of(A, n, scale, rows, stated.shape[0], solved, cov)
     return chi2
 
 
@@ -605,19 +570,3 @@ def last_point(
     for i in range(3):
         for j in range(3):
             cov[i, j] += scattered[i, j]
-
-
-@kernel
-def standard_deviation(solve_memory, n, j, work):
-    """Return the standard deviation of a common unknown from the factor that `solve_reduced` left; work: scratch,
-    (n,).
-    """
-    A = solve_memory[: n * n].reshape((n, n))
-    for i in range(n):
-        work[i] = 0.0
-    work[j] = 1.0 / solve_memory[n * n + j]
-    forward(A, n, work)
-    total = 0.0
-    for i in range(n):
-        total += work[i] * work[i]
-    return math.sqrt(total)

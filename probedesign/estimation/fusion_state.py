@@ -17,7 +17,7 @@ from probedesign.core.frames import Array, wrench_map
 from probedesign.core.statistics import MISFIT_CHANCE, UNIFORM_STD, is_normal, max_chi2
 from probedesign.core.units import MM
 from probedesign.estimation import fusion_kernel, multistart
-from probedesign.estimation.error_sources import FINE, ErrorSources
+from probedesign.estimation.error_sources import ErrorSources
 from probedesign.estimation.estimate import FusedEstimate, MomentsAbout, Result
 from probedesign.estimation.model import ProbeModel, Tolerances
 from probedesign.rod.kernels.surface_contact import (
@@ -136,11 +136,15 @@ class FusionState:
         #: Compliance of the object [m/N]: where it is linearised, mean and standard deviation of its prior, (3,).
         self.compliance = np.array([*HALF_NORMAL[:1], *HALF_NORMAL]) * priors.object_compliance
         # The solution: rows in the order of time, variance of the step of bias and point before each, standard
-        # deviation of the bias at the first, unknowns at the last row and at each, covariance of point and compliance.
+        # deviation of the bias at the first, unknowns at the last row and at each, covariance of point, compliance and,
+        # if it has a prior, the stiffness.
         self.order, self.walk, self.start = np.arange(rows), np.zeros((rows, 2)), 0.0
         #: Number of pins, which come last in the order; time before each row in the order, over `WALK_SECONDS`.
         self.pins, self.elapsed = 0, np.zeros(rows)
-        self.x, self.common, self.cov = np.empty(width - 1), np.empty((rows, width - 1)), np.empty((4, 4))
+        self.x, self.common = np.empty(width - 1), np.empty((rows, width - 1))
+        E = [sources.column("E")] if "E" in sources.names else []
+        self._stated = np.r_[np.arange(width - 1)[POINT_COLUMNS], width - 1 + COMPLIANCE, E].astype(np.int64)
+        self.cov = np.empty(2 * self._stated.shape)
         self._chain = np.empty((rows, fusion_kernel.WALKING, width))
         self._scatter, self._creep = sources.column("stiffness scatter"), sources.column("creep")
         #: Derivative of the channels by the bias in steps of the resolution, (m, 6).
@@ -167,11 +171,7 @@ class FusionState:
 
     def linearise_row(self, row: int) -> bool:
         """Linearise the touch of a row; return whether it has a stable equilibrium."""
-        sources = self.sources[row]
-        return bool(fusion_kernel.linearise_keyframe(
-            self.model.rod.body, sources.gravity, self.model.mass, FINE, self.touches[row], *sources.arguments,
-            self._work.sweep, self.lin[row], self.D[row],
-        ))  # fmt: skip
+        return self.sources[row].linearise(self.touches[row], False, self._work.sweep, self.lin[row], self.D[row])
 
     def reduce_row(
         self,
@@ -246,7 +246,7 @@ class FusionState:
             touched = self.touched[self.order]
             moves = touched & (np.cumsum(touched) > 1)  # the object may move from one touch to the next
             self.walk[moves, 1] = (self.priors.object_walk_mm * MM) ** 2
-        chi2 = fusion_kernel.solve_reduced(self.reduced, self.order, self.walk, start, self.causes, self._chain,
+        chi2 = fusion_kernel.solve_reduced(self.reduced, self.order, self.walk, start, self._stated, self._chain,
                                            self._work.solve, self.x, self.cov)  # fmt: skip
         fusion_kernel.smooth(self._chain, self.order, self.walk, self.x, self.common, self._work.mean)
         return float(chi2)
@@ -351,8 +351,8 @@ class FusionState:
         )
         chain = np.empty((rows, fusion_kernel.WALKING, width + 3))
         work, n = np.empty(fusion_kernel.solve_work(self.causes + 3)), width + 2
-        chi2 = fusion_kernel.solve_reduced(wide, self.order, self.walk, self.start, self.causes + 3, chain, work,
-                                           np.empty(n), np.empty((4, 4)))  # fmt: skip
+        chi2 = fusion_kernel.solve_reduced(wide, self.order, self.walk, self.start, self._stated + 3, chain, work,
+                                           np.empty(n), np.empty_like(self.cov))  # fmt: skip
         L, scale = _factor(work, n)
         half = solve_triangular(L, np.diag(1.0 / scale)[:, :3], lower=True)
         # All are zero where the step is unobservable.
@@ -404,9 +404,7 @@ class FusionState:
         stiffness, std, column = 1.0, 0.0, self.sources[0].column("E")
         if column >= 0:
             scale = self.priors.youngs_modulus
-            stiffness = math.exp(scale * float(self.x[column]))
-            std = scale * float(fusion_kernel.standard_deviation(self._work.solve, len(self.x), column,
-                                                                 self._work.mean))  # fmt: skip
+            stiffness, std = math.exp(scale * float(self.x[column])), scale * math.sqrt(self.cov[4, 4])
         stated: dict[str, Any] = {
             "stiffness": stiffness, "std_stiffness": stiffness * std, "chi2": chi2, "dof": self.dof, "rms": rms,
             "iterations": iterations, "candidates_world": candidates,

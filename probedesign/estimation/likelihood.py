@@ -21,7 +21,7 @@ from probedesign.estimation.estimate import Candidate
 from probedesign.estimation.force_moment import Problem, touch_at
 from probedesign.estimation.multistart import FIT, MAX_STARTS
 from probedesign.rod.equilibrium import Equilibrium, Sensitivity
-from probedesign.rod.kernels.surface_contact import ALONG, AROUND, DEAD, NORMAL, ROWS, TIP, UNKNOWNS, S, work_size
+from probedesign.rod.kernels.surface_contact import ALONG, AROUND, DEAD, NORMAL, TIP, S
 from probedesign.rod.rod import Rod
 
 _SAME = 1e-5  #: Places closer than this, over the length, are one.
@@ -88,21 +88,24 @@ _spare: dict[int, list[tuple[Array, NDArray[Any]]]] = defaultdict(list)
 
 def _fit(problem: Problem, near: Array | None) -> NDArray[Any]:
     """Return what was fitted from one touch, or from every candidate along the probe: rows of `FIT`, (n,)."""
-    model, seen = problem.sources.model, problem.seen
     rows = np.empty(MAX_STARTS, dtype=FIT)
     if near is not None:
         rows["touch"][0] = near
-    spare = _spare[problem.sources.room]
+    return rows[: _run(problem, multistart.EVERYWHERE if near is None else multistart.NEAR, rows)]
+
+
+def _run(problem: Problem, task: int, rows: NDArray[Any]) -> int:
+    model, seen, spare = problem.sources.model, problem.seen, _spare[problem.sources.room]
     try:
         work, scratch = spare.pop()
     except IndexError:
         work, scratch = np.empty(problem.sources.room), np.empty(1, dtype=FIT_SCRATCH)
     count = multistart.fit_contacts(
         model.rod.body, model.rod.flank_end, seen.gravity, model.mass, seen.wrench, problem.noise, problem.friction,
-        *problem.sources.arguments, near is not None, work, scratch, rows,
+        *problem.sources.arguments, task, work, scratch, rows,
     )  # fmt: skip
     spare.append((work, scratch))
-    return rows[:count]
+    return int(count)
 
 
 #: Share of the force that is normal below which a fit has run into the wall that keeps contacts from pulling.
@@ -166,18 +169,14 @@ def profile_interval(problem: Problem, place: Candidate) -> tuple[float, float]:
         problem: the reading and what it is known to.
         place: the touch that explains it best; one without unknowns of a touch has the interval of `ratio_interval`.
     """
-    model, touch = problem.sources.model, place.touch
-    if touch is None:
+    length = problem.sources.model.rod.length
+    if place.fit is None:
         std_force = math.sqrt(float(np.trace(problem.noise[:3, :3])) / 3.0)
         share = std_force / max(float(np.linalg.norm(place.force_base)), 1e-300)
-        return ratio_interval(place.s_contact, place.std_s, share, model.rod.length)
-    bounds = np.empty(2)
-    multistart.profile_bounds(
-        model.rod.body, model.rod.flank_end, problem.seen.gravity, model.mass, problem.seen.wrench, place.whiten,
-        problem.friction, place.chi2, place.std_s, statistics.sigmas_95(1), touch, np.empty((2, len(touch))),
-        np.empty(work_size(0)), np.empty((ROWS, 1 + UNKNOWNS)), np.empty(1, dtype=FIT_SCRATCH), bounds,
-    )  # fmt: skip
-    low, high = np.clip(bounds, 0.0, model.rod.length).tolist()
+        return ratio_interval(place.s_contact, place.std_s, share, length)
+    rows = np.array([place.fit])
+    _run(problem, multistart.BOUNDS, rows)
+    low, high = np.clip(rows["bounds"][0], 0.0, length).tolist()
     return low, high
 
 

@@ -8,6 +8,7 @@ import math
 
 import numpy as np
 
+from probedesign.core.statistics import sigmas_95
 from probedesign.estimation import candidates
 from probedesign.estimation.contact_fit import (
     AT_END,
@@ -42,7 +43,6 @@ from probedesign.rod.kernels.surface_contact import (
     CENTRE,
     CLAMPED,
     DEAD,
-    NO_PARAMETERS,
     NORMAL,
     OWN,
     PHI,
@@ -64,18 +64,22 @@ from probedesign.rod.kernels.surface_contact import (
     work_size,
 )
 
+#: What `fit_contacts` does: it fits every candidate of the trace, or from the touch of the first row, or it evaluates
+#: the bounds of the touch there.
+EVERYWHERE, NEAR, BOUNDS = 0, 1, 2
 MAX_STARTS = 8  #: Places that one reading is fitted from at most, the likeliest ones.
 #: One fit: its outcome (FITTED, ...), the touch, squared misfit and the part of it due to friction, change of the base
 #: moment with s over the force, variance of s_contact [m²], covariance of the five unknowns, those of the touched point
 #: and of the centreline point [m²], both to first order alone, force [N], touched point and centreline point [m],
 #: s_contact [m], the reading's whitening, how many sweeps the fit took under the weights of noise and drift and under
-#: all, and on a curved probe by how much the misfit grows beside the fit, see `uncertainty_kernel.NODE`.
+#: all, on a curved probe by how much the misfit grows beside the fit, see `uncertainty_kernel.NODE`, and the bounds of
+#: s_contact that `BOUNDS` fills in [m].
 FIT = np.dtype([
     ("status", "f8"), ("touch", "f8", TOUCH), ("chi2", "f8"), ("chi2_friction", "f8"), ("lever", "f8"), ("var_s", "f8"),
     ("cov_touch", "f8", (UNKNOWNS, UNKNOWNS)), ("cov_surface", "f8", (3, 3)), ("cov_centre", "f8", (3, 3)),
     ("cov_linear_surface", "f8", (3, 3)), ("cov_linear_centre", "f8", (3, 3)), ("force", "f8", 3),
     ("surface", "f8", 3), ("centre", "f8", 3), ("s_contact", "f8"), ("whiten", "f8", (6, 6)), ("sweeps", "f8", 2),
-    ("growth", "f8"),
+    ("growth", "f8"), ("bounds", "f8", 2),
 ])  # fmt: skip
 #: Misfits of the trace beyond which no contact is fitted: standard deviations of the reading's moment and of its
 #: force's lever together, and over the moment itself. Friction around the section leaves a couple of its own, μ r F,
@@ -189,12 +193,75 @@ def _settle(measured, noise, sources, touch, memory, work, row):
     return AT_END if bounded else FITTED
 
 
+PROFILE_STEPS = 20  #: Most fits for one end of a profile interval; two to five are usual.
+PROFILE_CLOSE = 0.02  #: Difference from the limit, in standard deviations, at which an end is found.
+LEAST_PLACE = 1e-3  #: Arclength over length below which an end of the interval is the base's.
+LIMIT = sigmas_95(1)  #: Square root of the growth of the misfit, in standard deviations, at the ends of an interval.
+
+
+@inner
+def _copy(touch, to):
+    for q in range(TOUCH):
+        to[q] = touch[q]
+
+
+@inner
+def _profile_bounds(measured, memory, work, row):
+    """Fill in the bounds of a fit: the s_contact [m] where the misfit, least over touches of one section, has grown to
+    the limit; 0 and the end of the probe where it does not grow so far.
+
+    The square root of the growth is about linear in 1/s, because s is a moment over an uncertain force. Its secant is
+    followed, and bisected where that does not close in.
+    """
+    moved, kept, end = work.at[:], work.kept[:], measured.end
+    lowest, std_s = LEAST_PLACE * end, math.sqrt(max(row.var_s, 0.0))
+    first = 1.0 / max(row.touch[S], lowest)
+    for side in range(2):
+        _copy(row.touch[:], moved)
+        _copy(moved, kept)
+        last = 1.0 / lowest if side == 0 else 1.0 / end
+        inside, grown, outside, beyond = first, 0.0, math.nan, math.inf
+        x = first + (1.0 if side == 0 else -1.0) * LIMIT * std_s * first * first
+        for step in range(PROFILE_STEPS):
+            if math.isnan(outside):
+                x = min(x, last) if side == 0 else max(x, last)
+            s = 1.0 / x
+            if moved[S] > lowest:  # the moment stays
+                moved[NORMAL] *= moved[S] / s
+                for q in range(DEAD, TIP):
+                    moved[q] *= moved[S] / s
+            moved[S] = s
+            status, chi2, _n = fit_touch(
+                measured, row.whiten, s, s, MAX_ITERATIONS, moved, memory.sweep, memory.lin_touch, work
+            )
+            growth = math.sqrt(max(chi2 - row.chi2, 0.0))
+            if status in (FITTED, AT_END) and growth > LIMIT + PROFILE_CLOSE:
+                outside, beyond = x, growth
+            elif status in (FITTED, AT_END) or growth <= LIMIT:
+                inside, grown = x, growth
+                _copy(moved, kept)
+                if growth >= LIMIT - PROFILE_CLOSE or x == last:
+                    break
+            else:  # too far for one fit: from nearer by
+                _copy(kept, moved)
+                x = 0.5 * (inside + x)
+                continue
+            _copy(kept, moved)
+            if math.isnan(outside):
+                x = first + (inside - first) * min(LIMIT / max(grown, 1e-3), 3.0) if inside != first else last
+            elif step % 3 != 2:
+                x = inside + (outside - inside) * (LIMIT - grown) / (beyond - grown)
+            else:
+                x = 0.5 * (inside + outside)
+        row.bounds[side] = 0.0 if side == 0 and inside == last else s_contact(measured.body, kept)
+
+
 @kernel
 def fit_contacts(
     body, end, gravity, mass, wrench, noise, friction, rod, base, root, gain, payload_by_gravity, sensor_from_base,
-    base_from_sensor, reference, tared, near, work, scratch, rows,
+    base_from_sensor, reference, tared, task, work, scratch, rows,
 ):  # fmt: skip
-    """Fit touches from one guess, or from every candidate of the trace, the likeliest first.
+    """Fit touches from one guess or from every candidate of the trace, the likeliest first, or evaluate bounds of one.
 
     Args:
         body: of the rod; end: the furthest arclength at which a touch acts [m].
@@ -203,7 +270,7 @@ def fit_contacts(
         noise: its covariance by noise and drift, (6, 6).
         friction: prior standard deviation of the friction ratio; inf: the direction is free.
         rod, ... tared: the error sources, see `SourceArrays`; as arguments of their own they reach the kernel faster.
-        near: whether the first row's touch holds a guess; nothing is traced then.
+        task: EVERYWHERE, NEAR or BOUNDS.
         work: scratch, (room_for(knots, J),); scratch: FIT_SCRATCH, (1,).
         rows: filled, FIT, (MAX_STARTS,).
 
@@ -215,7 +282,7 @@ def fit_contacts(
         rod, base, root, gain, payload_by_gravity, sensor_from_base, base_from_sensor, reference, tared
     )
     parameters, J = rod.shape[1] + 3, tared.shape[1]
-    a = max(sweep_work_size(NO_PARAMETERS), sweep_work_size(parameters))
+    a = max(sweep_work_size(0), sweep_work_size(parameters))
     b = a + ROWS * (1 + UNKNOWNS + parameters)
     c = b + 12 * J
     d = c + 3 * (6 + J)
@@ -225,7 +292,10 @@ def fit_contacts(
         work[d:e].reshape((ROWS, 1 + UNKNOWNS)),
     )  # fmt: skip
     room, fit_work = work[e:], scratch[0]
-    if near:
+    if task == BOUNDS:
+        _profile_bounds(measured, memory, fit_work, rows[0])
+        return 1
+    if task == NEAR:
         row = rows[0]
         row.sweeps[0] = 0
         row.status = _settle(measured, noise, sources, row.touch[:], memory, fit_work, row)
@@ -304,73 +374,3 @@ def contact_arclengths(body, touches, s):
     """Fill in the arclengths of the centreline's points where the lines of action of forces come nearest [m], (k,)."""
     for k in range(touches.shape[0]):
         s[k] = s_contact(body, touches[k])
-
-
-PROFILE_STEPS = 20  #: Most fits for one end of a profile interval; two to five are usual.
-PROFILE_CLOSE = 0.02  #: Difference from the limit, in standard deviations, at which an end is found.
-LEAST_PLACE = 1e-3  #: Arclength over length below which an end of the interval is the base's.
-
-
-@inner
-def _copy(touch, to):
-    for q in range(TOUCH):
-        to[q] = touch[q]
-
-
-@kernel
-def profile_bounds(
-    body, end, gravity, mass, wrench, whiten, friction, least, std_s, limit, found, touch, sweep_work, lin, scratch,
-    bounds,
-):  # fmt: skip
-    """Fill in the arclengths s_contact [m] where the misfit, least over touches of one section, has grown to a limit.
-
-    The square root of the growth is about linear in 1/s, because s is a moment over an uncertain force. Its secant is
-    followed, and bisected where that does not close in.
-
-    Args:
-        least: misfit squared of the touch found; std_s: standard deviation of its arclength [m].
-        limit: square root of the growth, in standard deviations.
-        found: the touch, (TOUCH,); touch: scratch, (2, TOUCH).
-        sweep_work: scratch, (work_size(0),); lin: scratch, (ROWS, 1 + UNKNOWNS); scratch: FIT_SCRATCH, (1,).
-        bounds: filled, (2,); 0 and the end of the probe where the misfit does not grow so far.
-        The others as in `fit_touch`.
-    """
-    moved, kept = touch[0], touch[1]
-    measured, lowest = Measured(body, end, gravity, mass, wrench, friction), LEAST_PLACE * end
-    first = 1.0 / max(found[S], lowest)
-    for side in range(2):
-        _copy(found, moved)
-        _copy(found, kept)
-        last = 1.0 / lowest if side == 0 else 1.0 / end
-        inside, grown, outside, beyond = first, 0.0, math.nan, math.inf
-        x = first + (1.0 if side == 0 else -1.0) * limit * std_s * first * first
-        for step in range(PROFILE_STEPS):
-            if math.isnan(outside):
-                x = min(x, last) if side == 0 else max(x, last)
-            s = 1.0 / x
-            if moved[S] > lowest:  # the moment stays
-                moved[NORMAL] *= moved[S] / s
-                for q in range(DEAD, TIP):
-                    moved[q] *= moved[S] / s
-            moved[S] = s
-            status, chi2, _n = fit_touch(measured, whiten, s, s, MAX_ITERATIONS, moved, sweep_work, lin, scratch[0])
-            growth = math.sqrt(max(chi2 - least, 0.0))
-            if status in (FITTED, AT_END) and growth > limit + PROFILE_CLOSE:
-                outside, beyond = x, growth
-            elif status in (FITTED, AT_END) or growth <= limit:
-                inside, grown = x, growth
-                _copy(moved, kept)
-                if growth >= limit - PROFILE_CLOSE or x == last:
-                    break
-            else:  # too far for one fit: from nearer by
-                _copy(kept, moved)
-                x = 0.5 * (inside + x)
-                continue
-            _copy(kept, moved)
-            if math.isnan(outside):
-                x = first + (inside - first) * min(limit / max(grown, 1e-3), 3.0) if inside != first else last
-            elif step % 3 != 2:
-                x = inside + (outside - inside) * (limit - grown) / (beyond - grown)
-            else:
-                x = 0.5 * (inside + outside)
-        bounds[side] = 0.0 if side == 0 and inside == last else s_contact(body, kept)

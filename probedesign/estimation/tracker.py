@@ -256,8 +256,8 @@ class Tracker:
 
     def _gap(self, a: Array, b: Array) -> tuple[bool, float]:
         """Return whether two poses lie too far apart to be averaged, and their distance, rotations included [m]."""
-        moved, gap = math.dist(a[:3, 3], b[:3, 3]), float(fusion_kernel.apart(a, b))
-        return moved > _MIXED * self._state.model.rod.length or gap - moved > 0.1 * _TURNED, gap
+        moved, turned = math.dist(a[:3, 3], b[:3, 3]), math.dist(a[:3, :3].ravel(), b[:3, :3].ravel()) / math.sqrt(2.0)
+        return moved > _MIXED * self._state.model.rod.length or turned > _TURNED, moved + 0.1 * turned
 
     def _join(self, touch: _Touch) -> None:
         """Make one of the two neighbours that lie closest, or drop the lighter where they lie too far apart."""

@@ -42,7 +42,6 @@ from probedesign.rod.kernels.surface_contact import (
     BY_GRAVITY,
     BY_TOUCH,
     CENTRE,
-    NO_PARAMETERS,
     NORMAL,
     PHI,
     POINT,
@@ -54,7 +53,6 @@ from probedesign.rod.kernels.surface_contact import (
     linearise,
     outline_at,
     plan_move,
-    settle,
 )
 
 ROOT_CENTRE = 0.375  #: Where the root's compliance is centred, in base radii (`rod.ROOT_CENTRE`, docs/decisions/0006).
@@ -365,7 +363,7 @@ def _offsets_beside(measured, whiten, tol, touch, lin, chi2, valley, side, memor
     advance(at, touch, share, change, move)
     at[S] = min(max(at[S], 0.0), measured.end)  # rounding
     status, lack, _margin, _size = linearise(
-        measured.body, measured.gravity, measured.mass, tol, 1.0, at, NO_PARAMETERS, memory.sweep, lin_at
+        measured.body, measured.gravity, measured.mass, tol, 1.0, at, 0, memory.sweep, lin_at
     )
     if status != OK or not lack < math.inf:
         return math.nan
@@ -486,13 +484,10 @@ def _add_bow(lin, row, v, low, high, beside, cov):
 
 
 @kernel
-def columns_of(body, gravity, mass, tol, touch, sources, work, lin, D):
-    """Settle and linearise a touch and fill its error columns, see `settle` and `error_columns`.
-
-    Returns:
-        Whether there is a stable equilibrium.
-    """
-    if not settle(body, gravity, mass, tol, touch, sources.rod.shape[1] + 3, work, lin):
-        return False
+def columns_of(body, gravity, lin, rod, base, root, gain, payload_by_gravity, sensor_from_base, base_from_sensor,
+               reference, tared, D):  # fmt: skip
+    """Run `error_columns` for callers in Python; arguments of their own reach a kernel faster than `SourceArrays`."""
+    sources = SourceArrays(
+        rod, base, root, gain, payload_by_gravity, sensor_from_base, base_from_sensor, reference, tared
+    )
     error_columns(body, gravity, lin, sources, D)
-    return True

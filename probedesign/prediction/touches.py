@@ -101,7 +101,7 @@ class SurfaceRod:
         """
         lin = np.empty((ROWS, 1 + UNKNOWNS))
         work = np.empty(kernel.work_size(0))
-        converged = kernel.linearise_touch(self.rod.body, self.gravity, self.mass, FINE, touch, 0, work, lin)
+        converged = kernel.linearise_touch(self.rod.body, self.gravity, self.mass, FINE, touch, True, 0, work, lin)
         return lin if converged else None
 
     def begin_press(self, s: float, phi: float, ratios: Sequence[float] = (0.0, 0.0)) -> "ForceContinuation":

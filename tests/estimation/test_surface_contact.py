@@ -76,7 +76,9 @@ def compiled(rod, gravity, touch, tip=None):
     settled[TIP:] = rod.solve(gravity).tip if tip is None else tip
     parameters = OWN + len(rod.s)
     lin, work = np.empty((ROWS, 1 + UNKNOWNS + parameters)), np.empty(work_size(parameters))
-    assert linearise_touch(rod.body, np.asarray(gravity, dtype=float), rod.mass, FINE, settled, parameters, work, lin)
+    assert linearise_touch(
+        rod.body, np.asarray(gravity, dtype=float), rod.mass, FINE, settled, True, parameters, work, lin
+    )
     return lin, settled
 
 
@@ -247,4 +249,4 @@ def test_a_touch_that_the_probe_does_not_hold_has_no_linearisation():
     touch, lin = np.zeros(TOUCH), np.empty((ROWS, 1 + UNKNOWNS))
     touch[:3] = 0.95 * CONE.length, 0.3, 0.5
     touch[TIP:] = CONE.solve(GRAVITY).tip
-    assert not linearise_touch(CONE.body, GRAVITY, CONE.mass, FINE, touch, 0, np.empty(work_size(0)), lin)
+    assert not linearise_touch(CONE.body, GRAVITY, CONE.mass, FINE, touch, True, 0, np.empty(work_size(0)), lin)

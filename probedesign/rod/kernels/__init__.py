@@ -11,7 +11,7 @@ keeps what is compiled.
 from collections.abc import Callable
 from typing import Any
 
-from numba import njit
+from numba import njit, types
 
 from probedesign.rod.kernels.cache import KernelCache, KernelCompiler
 
@@ -40,6 +40,13 @@ def _cached(function: Callable[..., Any], options: dict[str, Any]) -> Any:
     dispatcher = njit(nogil=True, pipeline_class=KernelCompiler, **options)(function)
     if dispatcher is not function:  # NUMBA_DISABLE_JIT returns the function
         dispatcher._cache = KernelCache(dispatcher)
+        call_template = dispatcher.get_call_template
+
+        def by_types(args: Any, kws: Any) -> Any:
+            """Compile once for all constants of one type, where numba would compile for each constant."""
+            return call_template([types.unliteral(arg) for arg in args], kws)
+
+        dispatcher.get_call_template = by_types
     return dispatcher
 
 

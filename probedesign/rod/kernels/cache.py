@@ -209,7 +209,7 @@ def _lock(file: Path) -> Any:
 
 
 #: Parts of `precompile` for each of the processes that compile beside the first one, which compiles the rod.
-BESIDE = ("fit", "detector"), ("columns", "touches")
+BESIDE = ("fit",), ("touches", "detector")
 
 
 @cache

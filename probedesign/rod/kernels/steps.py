@@ -140,9 +140,7 @@ def step_error(h, k0, k2, k3, k4, k5, k6, k7):
 
 
 STATE = 12  #: [t, m, p, d]: tangent, moment, point, the section's x axis.
-#: Offsets of the parts of a state. They are numpy integers, like all such indices here: for the literals 0, 3, 6 ...
-#: numba would compile each function once per value.
-T, M, P, D = np.arange(0, STATE, 3)
+T, M, P, D = range(0, STATE, 3)  #: Offsets of the parts of a state.
 ROW = 30  #: Numbers stored of a stage: [t, m, p', n, e, the rest of `section_properties`, `bending_compliance`, on].
 NOTED = 2 * STATE
 #: Numbers that a step works in: the state, the next state, and what is stored of the stages.
@@ -162,8 +160,8 @@ COLUMN = 9  #: [θ, v, q] of a column.
 NEXT, ERRORS, BY_LOAD, LOGS, REST, LOG_R, LOG_F, BY_WEIGHT = 9, 18, 20, 26, 28, 30, 38, 46
 BLOCK = (BY_WEIGHT + STAGES) * WIDE
 
-THETA, V, Q = np.arange(0, COLUMN, 3)  #: Rows of a column.
-S0, S1, S2, S3, S4, S5, S6, S7 = np.arange(STAGES)  #: The stages.
+THETA, V, Q = range(0, COLUMN, 3)  #: Rows of a column.
+S0, S1, S2, S3, S4, S5, S6, S7 = range(STAGES)  #: The stages.
 C1, C2, C3, C4, C6 = (float(C[j]) for j in (1, 2, 3, 4, 6))
 
 

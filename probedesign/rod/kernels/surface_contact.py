@@ -21,8 +21,6 @@ the linearisation: with θ the section's turn,
 import math
 from typing import NamedTuple
 
-import numpy as np
-
 from probedesign.core.frames import Array
 from probedesign.rod.kernels import inner, kernel
 from probedesign.rod.kernels.equations import (
@@ -65,19 +63,12 @@ VALUE, BY_TOUCH, BY_PARAMETER = 0, 1, 1 + UNKNOWNS
 OWN = 9  #: Parameters before the knots.
 BY_GRAVITY, BY_E = BY_PARAMETER, BY_PARAMETER + 3
 
-#: Rows of the rod's columns after those of the base moment. As numpy integers: for the literals 3, 6 ... numba would
-#: compile each function once per value.
-_, R_TANGENT, R_X, R_P, R_Y = np.arange(0, 15, 3)
+R_TANGENT, R_X, R_P, R_Y = range(3, 15, 3)  #: Rows of the rod's columns after those of the base moment.
 #: Columns of the rod; the first three are by the force.
 ROD_S, ROD_COUPLE, ROD_GRAVITY, ROD_DENSITY, ROD_DIAMETER = 3, 4, 7, 12, 13
 
 MAX_LACK = 0.5  #: Misfit at the clamp [rad] up to which a linear solution is useful.
 CLAMPED = 1e-4  #: Misfit at the clamp [rad] up to which it is exact: an error of its square.
-
-
-#: Of the rod to differentiate by; for the literal 0 numba would compile `linearise` and its callers' copies of it once
-#: more.
-NO_PARAMETERS = np.int64(0)
 
 
 class TouchMemory(NamedTuple):
@@ -469,9 +460,16 @@ def settle(body, gravity, mass, tol, touch, parameters, work, lin):
 
 
 @kernel
-def linearise_touch(body, gravity, mass, tol, touch, parameters, work, lin):
-    """Run `settle` for callers in Python."""
-    return settle(body, gravity, mass, tol, touch, parameters, work, lin)
+def linearise_touch(body, gravity, mass, tol, touch, settled, parameters, work, lin):
+    """Run `settle` or, where dead loads and tip need not be `settled`, `linearise` for callers in Python.
+
+    Returns:
+        Whether there is a stable equilibrium.
+    """
+    if settled:
+        return settle(body, gravity, mass, tol, touch, parameters, work, lin)
+    status, lack, margin, _size = linearise(body, gravity, mass, tol, 1.0, touch, parameters, work, lin)
+    return status == OK and lack < math.inf and margin > 0.0
 
 
 @kernel
