@@ -181,9 +181,10 @@ class Exploration:
     def _located(self, segment: TouchSegment, log: Callable[[str], None]) -> LocatedTouch:
         if problem := _too_little_motion(float((self._high - self._low).max())):
             log(problem)
-            segment = replace(segment, refused=True)
-        priors = self.priors or self.estimator.priors
-        touch = locate_touch(segment, self.estimator, priors, self.gravity_world, self.one_object)
+            touch = LocatedTouch(segment, "inconsistent")
+        else:
+            priors = self.priors or self.estimator.priors
+            touch = locate_touch(segment, self.estimator, priors, self.gravity_world, self.one_object)
         self.touches.append(touch)
         return touch
 

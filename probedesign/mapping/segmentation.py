@@ -76,7 +76,6 @@ class TouchSegment:
     free_before: StationaryInterval | None  #: free probe just before it; None if the base was not stationary.
     intervals: tuple[StationaryInterval, ...]  #: stationary intervals in contact, in order of time.
     free_after: StationaryInterval | None  #: free probe just after it; None if the base was not stationary.
-    refused: bool = False  #: whether the poses of the base contradict it.
 
 
 class TouchSegmenter:
@@ -89,7 +88,6 @@ class TouchSegmenter:
     def __init__(self, count: int = 0) -> None:
         self.count, self._start = count, np.nan
         self._open, self._last = 0, np.nan  # number of the open touch as given by `live`; 0 for none
-        self._refused = False
         self._before: StationaryInterval | None = None
         self._older: StationaryInterval | None = None
         self._intervals: list[StationaryInterval] = []
@@ -113,7 +111,7 @@ class TouchSegmenter:
                     self._before = None
             self._open = contact.number
         if contact is not None:
-            self._last, self._refused = update.reading.time, contact.refused
+            self._last = update.reading.time
             if update.phase == "settled":
                 if self._intervals and self._intervals[-1].contains(update.T_world_base):
                     self._intervals[-1].add(update)
@@ -131,7 +129,7 @@ class TouchSegmenter:
             valid = [interval for interval in self._intervals if interval.is_valid]
             if len(valid) > MAX_INTERVALS:
                 valid = [valid[round(i)] for i in np.linspace(0, len(valid) - 1, MAX_INTERVALS)]
-            yield TouchSegment(self.count, self._start, self._before, tuple(valid), after, self._refused)
+            yield TouchSegment(self.count, self._start, self._before, tuple(valid), after)
             if after is not None:
                 self._before, self._older = after, None
         self._open, self._intervals, self._after = 0, [], None

@@ -198,8 +198,6 @@ def locate_touch(
     """
     if not segment.intervals:
         return LocatedTouch(segment, NEVER_SETTLED)
-    if segment.refused:
-        return LocatedTouch(segment, "inconsistent")
     fusion = _fusion(segment, estimator, priors, gravity_world)
     if fusion is None:
         return LocatedTouch(segment, "out_of_range")

@@ -4,12 +4,11 @@ import numpy as np
 import pytest
 
 from probedesign.core.errors import InputError
-from probedesign.core.frames import pose
 from probedesign.live.blocks import Block
 from probedesign.live.poses.base_poses import BasePoses, TimedPose
 from probedesign.live.processing.averaging import choose_averaging
 from probedesign.live.processing.chain import ProcessingOptions
-from probedesign.live.processing.plausibility import CLOCK_HOLD, LEAP_HOLD, TravelCheck
+from probedesign.live.processing.plausibility import CLOCK_HOLD, LEAP_HOLD
 from probedesign.live.processing.tare import TareWindow
 from probedesign.live.recordings.csv import write_recording
 from probedesign.live.recordings.mcap_write import McapRecorder
@@ -175,17 +174,6 @@ def test_a_base_that_leaps_has_no_position_until_it_moves_on(estimator, free):
         near = abs(u.reading.time - 4.0) < 0.04 or abs(u.reading.time - 4.0 - LEAP_HOLD) < 0.06
         assert near or ("leapt" in u.reading.fault) == leaping == (u.estimate.result == "out_of_range")
     assert sum("the base leapt" in line for line in lines) == 1
-
-
-def test_travel_of_a_base_in_the_wrong_unit_is_recognised():
-    """The probe bends by 3 mm: a base that presses on travels by that, in metres by a thousandth."""
-    for factor, faulty in ((1.0, False), (1e-3, True)):
-        check = TravelCheck()
-        check.on_free(pose())
-        check.on_contact(pose(p=(3e-3 * factor, 0.0, 0.0)), 3e-3)
-        assert bool(check.fault) == faulty
-        check.on_free(pose())
-        assert not check.fault
 
 
 def test_a_recording_with_positions_in_metres_is_refused(estimator):

@@ -8,13 +8,7 @@ import pytest
 from probedesign.core.errors import InputError
 from probedesign.live.blocks import WrenchReading, group_readings, iter_readings
 from probedesign.live.processing import chain as due
-from probedesign.live.processing.chain import (
-    MAX_AGE,
-    MAX_SKIPPED_SHARE,
-    REPORT_PERIOD,
-    EstimateScheduler,
-    ProcessingOptions,
-)
+from probedesign.live.processing.chain import MAX_AGE, EstimateScheduler, ProcessingOptions
 from probedesign.live.processing.estimates import wrench_without_bias
 from probedesign.live.processing.tare import TareWindow, parse_window, tare_of
 from probedesign.live.run import estimate_stream
@@ -110,32 +104,15 @@ class Fixed:
 READING = WrenchReading(0.0, np.zeros(6), np.zeros(3))
 
 
-def wanted(at, times, received, monkeypatch):
-    """Whether each reading is wanted, taken in when the clock shows `received` plus `at`."""
-    log_lines: list[str] = []
-    kept = EstimateScheduler(100.0, log_lines.append)
-    found = []
-    for time, late in zip(times, at, strict=True):
-        monkeypatch.setattr(due, "monotonic", lambda late=late: 7.0 + late)
-        found.append(kept.is_due(replace(READING, time=time, received=received)))
-    kept.finish()
-    return found, log_lines
-
-
 def test_a_reading_that_is_too_old_is_skipped_and_counted(monkeypatch):
-    at = [0.0, MAX_AGE + 0.01, 0.0, MAX_AGE + 0.5, 0.5 * MAX_AGE]
-    found, log_lines = wanted(at, 0.01 * np.arange(5), 7.0, monkeypatch)
-    assert found == [True, False, True, False, True]
-    assert log_lines == ["2 of 5 estimates were skipped: each was more than 12 ms late, with newer readings queued"]
-
-
-def test_many_skipped_estimates_are_reported_at_once_and_at_their_end(monkeypatch):
-    """A span with none left out, one with twice as many as are not reported, one with none."""
-    n = round(REPORT_PERIOD * 100.0)
-    at = np.zeros(3 * n + 10)
-    at[n : 2 * n : round(0.5 / MAX_SKIPPED_SHARE)] = 2.0 * MAX_AGE
-    _, log_lines = wanted(at, 0.01 * np.arange(len(at)), 7.0, monkeypatch)
-    assert len(log_lines) == 3 and "reduce --rate-hz" in log_lines[0] and "on time again" in log_lines[1]
+    lines: list[str] = []
+    scheduler, due_now = EstimateScheduler(100.0, lines.append), []
+    for i, late in enumerate((0.0, MAX_AGE + 0.01, 0.0, MAX_AGE + 0.5, 0.5 * MAX_AGE)):
+        monkeypatch.setattr(due, "monotonic", lambda late=late: 7.0 + late)
+        due_now.append(scheduler.is_due(replace(READING, time=0.01 * i, received=7.0)))
+    scheduler.finish()
+    assert due_now == [True, False, True, False, True]
+    assert lines[0].startswith("2 of 5 estimates were skipped: each was more than 12 ms late")
 
 
 @pytest.mark.parametrize(

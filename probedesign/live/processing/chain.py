@@ -31,7 +31,7 @@ from probedesign.live.processing.estimates import (
 )
 from probedesign.live.processing.motion import MotionMonitor
 from probedesign.live.processing.payload import PayloadCheck
-from probedesign.live.processing.plausibility import FaultReport, PoseMonitor, SignalMonitor, TravelCheck
+from probedesign.live.processing.plausibility import FaultReport, PoseMonitor, SignalMonitor
 from probedesign.live.processing.screen import SampleScreen
 from probedesign.live.processing.tare import (
     CHANNELS,
@@ -82,9 +82,6 @@ class ProcessingOptions:
 MAX_AGE = 0.012
 MAX_BURST = 0.2  #: Longest burst of readings that are all located although they arrive together [s].
 
-#: Reporting period by the source's clock [s], and the fraction of skipped estimates that is reported at once.
-REPORT_PERIOD, MAX_SKIPPED_SHARE = 5.0, 0.05
-
 
 class EstimateScheduler:
     """Limits the rate of estimates by the source's clock and skips readings that are too old.
@@ -100,7 +97,6 @@ class EstimateScheduler:
         self.max_age, self._log = max_age, log
         self._period, self._next = 1.0 / rate, -math.inf
         self.n_due = self.n_skipped = 0
-        self._start, self._reported, self._overloaded = -math.inf, (0, 0), False
 
     def is_due(self, reading: WrenchReading, ready: float = -math.inf) -> bool:
         """Return whether the reading is to be located.
@@ -112,8 +108,6 @@ class EstimateScheduler:
             return False
         following = self._next + self._period
         self._next = following if following > reading.time else reading.time + self._period
-        if reading.time - self._start > REPORT_PERIOD:
-            self._report(reading.time)
         # The age is NaN, and so never too large, without hardware.
         skipped = monotonic() - max(reading.received, ready) > self.max_age
         self.n_due, self.n_skipped = self.n_due + 1, self.n_skipped + skipped
@@ -124,22 +118,8 @@ class EstimateScheduler:
         if self.n_skipped:
             self._log(
                 f"{self.n_skipped} of {self.n_due} estimates were skipped: each was more than "
-                f"{1e3 * self.max_age:.3g} ms late, with newer readings queued"
+                f"{1e3 * self.max_age:.3g} ms late, with newer readings queued; reduce --rate-hz"
             )
-
-    def _report(self, time: float) -> None:
-        """Report when the fraction of skipped estimates exceeds the limit, and when it recovers."""
-        n_due, n_skipped = self.n_due - self._reported[0], self.n_skipped - self._reported[1]
-        self._start, self._reported = time, (self.n_due, self.n_skipped)
-        overloaded = n_skipped > MAX_SKIPPED_SHARE * n_due
-        if overloaded and not self._overloaded:
-            self._log(
-                f"{n_skipped} of {n_due} estimates skipped in {REPORT_PERIOD:g} s: each was more than "
-                f"{1e3 * self.max_age:.3g} ms late; reduce --rate-hz"
-            )
-        elif self._overloaded and not overloaded:
-            self._log("estimates are on time again")
-        self._overloaded = overloaded
 
 
 MIN_RATE_SAMPLES = 8  #: Number of samples from which the rate of the source is determined before processing starts.
@@ -181,10 +161,10 @@ class Chain:
         self._zero_known = tare is not None or takes_tare or options.zero == "trusted"
         self._zero_reported = False
         self._signals = SignalMonitor(estimator.model, 1, math.nan)
-        self._base, self._travel = PoseMonitor(), TravelCheck()
+        self._base = PoseMonitor()
         self._motion = None if poses is None else MotionMonitor(estimator.model, poses)
         self._payload = PayloadCheck(estimator.model, log)
-        self._faults, self._travel_faults = FaultReport(log), FaultReport(log)
+        self._faults = FaultReport(log)
         self._free = deque[AveragedBatch](maxlen=MAX_TARE_BATCHES)
         self._contacts = ContactHistory()
         self._monitor: TouchMonitor | None = None
@@ -193,7 +173,7 @@ class Chain:
         age = (options.deadline or MAX_AGE) if options.estimates else math.inf
         self.scheduler = EstimateScheduler(options.rate, log, age)
         self._stretch = 0
-        self._state, self._phase_before = TouchState("", None), ""
+        self._state = TouchState("", None)
         self._pose_missing, self._touched_at_tare = False, ""
 
     @property
@@ -372,39 +352,13 @@ class Chain:
             estimate = Estimate("warming_up")
         elif drift is not None and moving and estimator.with_drift(drift.steps).detects(wrench, reading.gravity_base):
             estimate = Estimate("in_motion")
-        else:
-            # Where touches are located later, one reading of each stop checks the poses.
-            stopped, located = self._state.phase == "settled" != self._phase_before, None
-            if options.estimates or (stopped and T is not None):
-                located = locate(estimator, reading, self.tare, options.method, drift)
-            if options.estimates and located is not None:
-                estimate = located
-                self._contacts.locate(estimate, self._state.phase)
-            if T is not None:
-                self._check_travel(reading, T, located)
-        self._phase_before = self._state.phase
+        elif options.estimates:
+            estimate = locate(estimator, reading, self.tare, options.method, drift)
+            self._contacts.locate(estimate, self._state.phase)
         stale = "pose" if self._poses is not None and T is None else ""
         return EstimateUpdate(reading, estimate, *self._state, UNKNOWN_POSE if T is None else T, wrench, monotonic(),
                               stale, self.contacts, excess,
                               math.nan if self._motion is None else self._motion.time_to_rest)  # fmt: skip
-
-    def _check_travel(self, reading: WrenchReading, T: Array, estimate: Estimate | None) -> None:
-        """Check the travel of the base in a touch; a touch that fails has no point in the world.
-
-        `estimate` is that of the reading; None if it was not located.
-        """
-        if self._state.phase not in ("touching", "settled"):
-            self._travel.on_free(T)
-        elif estimate is not None:
-            deflection = math.nan
-            if estimate.ok:
-                free = self._estimator.free(reading.gravity_base).p_at(estimate.s_contact)
-                deflection = float(np.linalg.norm(estimate.p_contact_base - free))
-            self._travel.on_contact(T, deflection)
-            self._contacts.refuse(bool(self._travel.fault))
-            if self._travel.fault:
-                self._state = self._state._replace(fused=FusedEstimate("inconsistent"))
-        self._travel_faults.update(reading.time, self._travel.fault)
 
     def _collect_tare(self, batch: AveragedBatch) -> None:
         """Add a batch to the active tare; take the tare when its window is over."""

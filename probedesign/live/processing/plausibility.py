@@ -46,10 +46,6 @@ CLOCK_SKEW = 1e-3  #: Largest difference of the rates of two clocks. Assumed: tw
 #: reach 2 m/s and 7 rad/s.
 MAX_SPEED, MAX_TURN = 5.0, 15.0
 LEAP_HOLD = 0.25  #: Time without a leap after which poses count again [s]: poses that flicker are not used in between.
-#: Deflection of the probe at the contact from which the travel of the base is compared with it [m], and its least share
-#: of it. A base that presses on a fixed point travels by all of it; in metres instead of millimetres, by a thousandth.
-MIN_DEFLECTION, MIN_TRAVEL_SHARE = 0.5e-3, 0.05
-LEVER = 0.1  #: Lever arm that converts a rotation of the base to a distance [m], as in the tracker.
 QUANTILE = 0.6745  #: Median of the magnitude of a standard normal.
 
 
@@ -201,29 +197,3 @@ class PoseMonitor:
                 "positions in the wrong unit?"
             )
         return self._reason if time - self.leapt < LEAP_HOLD else ""
-
-
-class TravelCheck:
-    """Checks that a base travels as far as the probe bends at a touched point that is fixed in the world."""
-
-    def __init__(self) -> None:
-        self._start: Array | None = None
-        self.fault = ""
-
-    def on_free(self, T_world_base: Array) -> None:
-        """Take in the pose of a base whose probe is free, (4, 4)."""
-        self._start, self.fault = T_world_base, ""
-
-    def on_contact(self, T_world_base: Array, deflection: float) -> None:
-        """Take in the pose of a touch (4, 4) and how far the probe is bent at the contact [m]; NaN if unknown."""
-        if self._start is None:
-            return
-        lever = np.linalg.norm(T_world_base[:3, :3] - self._start[:3, :3]) / math.sqrt(2.0)
-        travel = float(np.linalg.norm(T_world_base[:3, 3] - self._start[:3, 3]) + LEVER * lever)
-        if deflection > MIN_DEFLECTION and travel < MIN_TRAVEL_SHARE * deflection:
-            self.fault = (
-                f"the base moved by {1e3 * travel:.2g} mm while the probe bent by {1e3 * deflection:.2g} mm; "
-                "positions of the base in metres, or an object that moves?"
-            )
-        elif deflection > MIN_DEFLECTION:
-            self.fault = ""

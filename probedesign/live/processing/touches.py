@@ -195,7 +195,6 @@ class Contact:
     #: fused estimate, the last one while settled, or the last one of all if the touch never settled.
     fused: FusedEstimate | None = None
     estimate: Estimate | None = None  #: last located single-reading estimate, of settled readings if there are any.
-    refused: bool = False  #: whether the poses of the base contradict the touch: then it has no point in the world.
 
     @property
     def ongoing(self) -> bool:
@@ -255,9 +254,7 @@ class ContactHistory:
             current = Contact(self._count, time)
             self.contacts = (*self.contacts[1 - MAX_CONTACTS :], current)
         settled, point = current.settled or phase == "settled", current.fused
-        if current.refused:
-            point = fused and FusedEstimate("inconsistent")
-        elif phase == "settled" or not settled:
+        if phase == "settled" or not settled:
             point = fused or point
         if settled != current.settled or point is not current.fused:
             self._replace_last(replace(current, fused=point, settled=settled))
@@ -275,11 +272,6 @@ class ContactHistory:
         """Remove the current touch from the list: nothing touched."""
         if self.current is not None:
             self.contacts, self._count = self.contacts[:-1], self._count - 1
-
-    def refuse(self, refused: bool) -> None:
-        """State whether the poses of the base contradict the current touch."""
-        if self.current is not None:
-            self._replace_last(replace(self.current, refused=refused))
 
     def _replace_last(self, contact: Contact) -> Contact:
         self.contacts = (*self.contacts[:-1], contact)
