@@ -1,21 +1,20 @@
-"""Checks of a campaign before anything is fitted to it: marker order, plausible values, agreement of its tables.
+"""Checks of a campaign before anything is fitted to it: its probe, the order of its markers, and plausible values.
 
-A column in a wrong unit is off by a thousand; a sign, a factor or a count that is wrong throughout makes readings,
-known loads and markers contradict each other. Each refusal is one line that names file, test, value and remedy.
+A column in a wrong unit is off by a thousand. Each refusal is one line that names file, test, value and remedy. Values
+that contradict each other are found by `identify`.
 """
 
 import math
-from dataclasses import dataclass
 from typing import NoReturn
 
 import numpy as np
 
-from probedesign.campaigns.campaign import PUSH_DIRECTIONS, TESTS, WRENCHES, Campaign, Markers, Test
+from probedesign.campaigns.campaign import TESTS, WRENCHES, Campaign, Markers, Test
 from probedesign.campaigns.manifest import FILE as MANIFEST
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
 from probedesign.core.units import GRAM, MM, N_MM
-from probedesign.estimation.model import ProbeModel, Tolerances
+from probedesign.estimation.model import ProbeModel
 
 #: Margin for errors of the reference, noise and drift of the sensor, in standard deviations: exceeded by one valid pair
 #: in 3 million.
@@ -33,16 +32,6 @@ SAG_FACTOR = 5.0
 #: Distance from the base, in lengths of the probe, at which a contact force may seem to act, even if part of it is
 #: lifted by another (assumed).
 MAX_LEVER = 3.0
-#: Fraction of a load, or of the distance from marker to marker, by which a reading may differ: gains, slopes and
-#: markers set by hand stay far below, wrong units and counts do not (assumed).
-HALF = 0.5
-#: Fraction of the length up to which a probe is thick and hardly bent. The first two markers count in any case: bent by
-#: a right angle up to the second, the distance to it is shorter by a fifth of the marker spacing.
-NEAR_BASE = 0.3
-TINY = 1e-12  #: A force that no sensor distinguishes from zero [N].
-
-
-# all checks
 
 
 def check_probe(campaign: Campaign, model: ProbeModel) -> None:
@@ -69,10 +58,6 @@ def check_probe(campaign: Campaign, model: ProbeModel) -> None:
     _check_metres(campaign, model)
     _check_range(campaign, model)
     _check_lever(campaign, model)
-    pushes = _pushes(campaign, model)
-    _check_loads(campaign, pushes)
-    _check_directions(campaign, pushes)
-    _check_numbering(campaign, model)
 
 
 def _check_identity(campaign: Campaign, model: ProbeModel) -> None:
@@ -235,110 +220,7 @@ def _check_lever(campaign: Campaign, model: ProbeModel) -> None:
             over.append((test, force, moment))
     if 2 * len(over) > len(read):
         test, force, moment = over[0]
-        lever = moment / max(force, TINY)
+        lever = moment / max(force, 1e-12)
         _refuse(campaign, WRENCHES, test,
                 f"{force:.4g} N with {moment / N_MM:.4g} N·mm act {lever / MM:.4g} mm away, {_length(model)}; are "
                 "forces and moments in the units of their columns?")  # fmt: skip
-
-
-# agreement of the tables
-
-
-@dataclass(frozen=True)
-class MeasuredPush:
-    """Force on the probe by the readings of one loaded test."""
-
-    test: Test  #: which.
-    force: Array  #: by the sensor, less weight and readings of the free probe, in base axes [N], (3,).
-    margin: float  #: for noise and drift [N].
-
-
-def _pushes(campaign: Campaign, model: ProbeModel) -> list[MeasuredPush]:
-    read = {test.name: test.mean_wrench_base(model)[:3] - model.mass * test.gravity_base
-            for test in campaign.tests if len(test.wrenches)}  # fmt: skip
-    free = [read[test.name] for test in campaign.tests if test.free and test.name in read]
-    zero = np.mean(free, axis=0) if free else np.zeros(3)
-    # Without a free test, a tare may have removed the whole weight.
-    weight = 0.0 if free else model.mass * float(np.linalg.norm(campaign.gravity_world))
-    drift = Tolerances.of(model).drift_steps ** 2 * model.averaging_samples
-    pushes = []
-    for test in campaign.tests:
-        if test.name in read and not test.free:
-            std = model.noise.force * math.sqrt(2.0 * (1.0 / len(test.wrenches) + drift))
-            pushes.append(MeasuredPush(test, read[test.name] - zero, DEVIATIONS * std + weight))
-    return pushes
-
-
-def _check_loads(campaign: Campaign, pushes: list[MeasuredPush]) -> None:
-    loads = [
-        (push, force)
-        for push in pushes
-        if (force := push.test.force_base) is not None
-        and max(np.linalg.norm(force), np.linalg.norm(push.force)) > 2.0 * push.margin
-    ]
-    wrong = [(push, force) for push, force in loads
-             if np.linalg.norm(push.force - force) > HALF * np.linalg.norm(force) + push.margin]  # fmt: skip
-    if 2 * len(wrong) > len(loads):
-        push, force = max(wrong, key=lambda pair: float(pair[1] @ pair[1]))
-        _refuse(campaign, TESTS, push.test,
-                f"known force of {float(np.linalg.norm(force)):.4g} N is {_comparison(push.force, force)} (in "
-                f"{len(wrong)} of {len(loads)} tests)")  # fmt: skip
-
-
-def _comparison(measured: Array, known: Array) -> str:
-    """Return the relation of a known force to the measured one, and what may be wrong."""
-    size, known_size = float(np.linalg.norm(measured)), float(np.linalg.norm(known))
-    cosine = float(measured @ known) / max(size * known_size, TINY)
-    times = f"{known_size / max(size, TINY):.4g} times what the sensor read"
-    if UNIT_FACTOR * size < known_size:
-        return f"{times}; millinewtons in a column of newtons?"
-    if size < HALF * known_size:
-        return f"{times}; is it the right weight, and are both in newtons?"
-    if cosine < -HALF:
-        return ("the opposite of what the sensor read; known forces act on the probe, and readings are what it does to "
-                "its mount: change the sign of one")  # fmt: skip
-    if cosine < HALF:
-        return "in another direction than was read; check the base's rotation in campaign.toml, and the columns"
-    return f"{times}; are both in newtons?"
-
-
-def _check_directions(campaign: Campaign, pushes: list[MeasuredPush]) -> None:
-    along = [
-        (push, float(push.force @ np.array(PUSH_DIRECTIONS[push.test.direction])))
-        for push in pushes
-        if push.test.direction in PUSH_DIRECTIONS and np.linalg.norm(push.force) > 2.0 * push.margin
-    ]
-    opposite = [(push, value) for push, value in along if value < -HALF * np.linalg.norm(push.force)]
-    if 2 * len(opposite) > len(along):
-        push, value = min(opposite, key=lambda pair: pair[1])
-        direction = push.test.direction
-        _refuse(campaign, WRENCHES, push.test,
-                f"pushed towards {direction}, the sensor read {value:.4g} N along {direction}, and the opposite in "
-                f"{len(opposite)} of {len(along)} tests; change the sign of the columns, or of direction")  # fmt: skip
-
-
-def _check_numbering(campaign: Campaign, model: ProbeModel) -> None:
-    """Refuse markers near the base that are nearer to it than their numbers imply."""
-    start = np.zeros(3)  # of the line of markers, in base axes
-    if campaign.marker_side is not None:
-        side = campaign.marker_side
-        radius = float(model.rod.radius[0]) * model.cross_section.reach(side)
-        start = np.array([radius * math.cos(side), radius * math.sin(side), 0.0])
-    short, variance, first = [], [], None
-    for test in campaign.tests:
-        if test.markers is None:
-            continue
-        s = campaign.marker_s[test.markers.numbers]
-        near = (s < NEAR_BASE * model.rod.length) | (test.markers.numbers < 2)
-        start_world = (test.T_world_base @ np.append(start, 1.0))[:3]
-        short += list(s[near] - np.linalg.norm(test.markers.p_world[near] - start_world, axis=1))
-        variance += list(np.linalg.eigvalsh(test.markers.cov_world[near])[:, -1])
-        first = test if first is None and near.any() else first
-    if first is None or first.markers is None or len(campaign.marker_s) < 2:
-        return
-    step, gap = float(np.median(np.diff(campaign.marker_s))), float(np.mean(short))
-    std = math.sqrt(float(np.mean(variance)) / len(short) + campaign.std_base**2)
-    if gap > HALF * step + DEVIATIONS * std:
-        _refuse(campaign, first.markers.file, first,
-                f"markers lie {gap / MM:.3g} mm nearer to the base than by their numbers, here and on average; are "
-                f"they numbered {max(round(gap / step), 1)} too high, or is s_mm measured from elsewhere?")  # fmt: skip

@@ -234,9 +234,11 @@ def markers(
     from probedesign import vision
 
     vision.require_opencv()
-    from probedesign.campaigns.photographs import check_free, find_all, write_pixels
+    from probedesign.campaigns.photographs import find_all, write_pixels
+    from probedesign.campaigns.reading import PIXELS
+    from probedesign.core.files import check_overwrite
 
-    check_free(data, force)
+    check_overwrite(data / PIXELS, force)  # its pixels may have been clicked by hand
     folder = data / "overlays" if overlays else None
     with show_progress() as on_progress:
         tests, notes = find_all(data, base_side, {"dark": True, "light": False}.get(dots), skip, on_progress)

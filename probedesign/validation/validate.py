@@ -325,10 +325,6 @@ COLUMNS = ("probe", "length_mm", "test", "kind", "force_N", "contact_fraction", 
            "shape_rms_mm", "shape_rms_percent", "reference_rms_mm", "contact_error_mm", "stated_error_mm",
            "predicted_error_mm", "reference_error_mm", "within_95", "nees", "z_x", "z_y", "z_z", "markers", "readings",
            "tares", "force_normal_N", "force_tangential_N", "friction_ratio", "held_out")  # fmt: skip
-#: Columns of table1.csv; the first seven are the paper's.
-TABLE1_COLUMNS = ("probe", "length_mm", "force_N", "contact_fraction", "shape_rms_mm", "shape_rms_percent",
-                  "contact_error_mm", "direction", "kind", "test", "method", "result", "stated_error_mm",
-                  "predicted_error_mm", "within_95", "held_out")  # fmt: skip
 #: Result codes in words.
 WHY: dict[str, str] = {**{str(code): words for code, words in RESULTS.items()}, "no_reading": "the sensor was not read"}
 #: Result codes expected of each kind. For a free probe the drift of the bias may be detected, but not located.
@@ -631,33 +627,3 @@ def judged(tests: Sequence[ValidatedTest], include_identified: bool) -> tuple[Va
 def _plain(value: Any) -> Any:
     value = value.item() if hasattr(value, "item") else value
     return None if isinstance(value, float) and math.isnan(value) else value
-
-
-# several probes
-
-
-@dataclass(frozen=True)
-class MultiProbeReport:
-    """Validations of several probes in one table, laid out as the paper's Table I."""
-
-    validations: tuple[ValidationReport, ...]  #: one per probe, in the order of the table.
-
-    def rows(self) -> list[dict[str, Any]]:
-        """Return all loaded tests: by probe, along it, from strong to weak, as Table I."""
-        return [row for validation in self.validations for row in validation.rows() if row["kind"] != "free"]
-
-    def csv(self) -> bytes:
-        """Return the table as CSV with a header."""
-        return csv_tables.write(TABLE1_COLUMNS, self.rows(), ".6g")
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return plain data for JSON."""
-        table = [{name: row[name] for name in TABLE1_COLUMNS} for row in self.rows()]
-        return {"schema": 1, "table": table, "probes": [validation.as_dict() for validation in self.validations]}
-
-
-def check_names(names: Sequence[str]) -> None:
-    """Refuse a probe that occurs twice, whose files and rows could not be distinguished."""
-    for i, name in enumerate(names):
-        if name in names[:i]:
-            raise InputError(f"probe {name} is named twice; validate its second campaign by itself, with --out")

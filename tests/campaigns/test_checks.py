@@ -1,12 +1,10 @@
 """Checks of a campaign: a column in a wrong unit, a sign, a factor or a count that is wrong throughout are refused."""
 
-import re
 from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
 from probedesign.campaigns import Campaign
 from probedesign.campaigns import campaign as tables
@@ -127,15 +125,12 @@ def test_a_sag_longer_than_the_probe_upwards_or_in_centimetres(models, made):
 
 
 def test_known_weights_in_millinewtons(models, made):
-    """Weights of 5, 10, 14 and 50 mN: as newtons one exceeds the sensor; without it all contradict the readings."""
+    """A weight of 50 mN: as newtons it exceeds the sensor."""
     campaign = made("large", CampaignPlan("cameras", 1))
     heavy = changed(
         campaign, lambda test: test if test.force_world is None else replace(test, force_world=1e3 * test.force_world)
     )
     assert "tests.csv: test weight-2: known force of 50 N exceeds the sensor's range" in refusal(heavy, models["large"])
-    light = replace(heavy, tests=tuple(test for test in heavy.tests if test.name != "weight-2"))
-    message = refusal(light, models["large"])
-    assert "times what the sensor read; millinewtons in a column of newtons?" in message
 
 
 def test_both_commands_refuse(models, made):
@@ -153,94 +148,3 @@ def test_a_mass_in_kilograms_is_refused(made, models):
     assert is_accepted(campaign, models["large"])
     with pytest.raises(InputError, match=r"mass_g = .* grams\?"):
         check_probe(wrong, models["large"])
-
-
-# agreement of readings, known loads and markers
-
-
-CAMERAS = CampaignPlan("cameras", 1)
-
-
-def numbered(campaign: Campaign, by: int) -> Campaign:
-    """Every marker gets the number of one further on, and the last ones are left out."""
-
-    def converted(test):
-        if test.markers is None:
-            return test
-        m = test.markers
-        kept = m.numbers + by < len(campaign.marker_s)
-        return replace(test, markers=replace(m, numbers=m.numbers[kept] + by, p_world=m.p_world[kept],
-                                             cov_world=m.cov_world[kept]))  # fmt: skip
-
-    return changed(campaign, converted)
-
-
-@pytest.mark.parametrize("name", NAMES)
-@pytest.mark.parametrize("factor", [10.0, 0.1])
-def test_readings_of_another_size_than_the_known_loads(models, made, name, factor):
-    """Readings about the base exclude the weight between sensor and base. Drift and noise change what
-    was read of the lightest load, 18 mN, by less than a fifth."""
-    wrong = changed(in_base(made(name, CAMERAS), models[name]), scaled(factor * np.ones(6)))
-    line = refusal(wrong, models[name])
-    match = re.search(r"tests.csv: test weight-\d: known force of \S+ N is (\S+) times what the sensor read", line)
-    assert match is not None and float(match[1]) == pytest.approx(1.0 / factor, rel=0.2), line
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_readings_of_the_opposite_sign_are_refused(models, made, name):
-    wrong = changed(in_base(made(name, CAMERAS), models[name]), scaled(-np.ones(6)))
-    assert "the opposite of what the sensor read" in refusal(wrong, models[name])
-
-
-def test_loads_in_another_direction_are_refused(models, made):
-    campaign = made("large", CAMERAS)
-    turn = Rotation.from_euler("x", 90, degrees=True).as_matrix()
-    line = refusal(
-        changed(campaign, lambda t: t if t.force_world is None else replace(t, force_world=turn @ t.force_world)),
-        models["large"],
-    )
-    assert "in another direction than was read" in line
-
-
-def test_one_wrong_load_is_accepted(models, made):
-    """It becomes an outlier of the fit."""
-    campaign = made("large", CAMERAS)
-    assert is_accepted(
-        changed(campaign, lambda t: replace(t, force_world=3.0 * t.force_world) if t.name == "weight-1" else t),
-        models["large"],
-    )
-
-
-def test_touches_read_in_the_opposite_direction_are_refused(models, made):
-    stage = in_base(made("medium", CampaignPlan("stage", 1)), models["medium"])
-    line = refusal(changed(stage, scaled(-np.ones(6))), models["medium"])
-    assert "wrenches.csv: test touch-" in line and "change the sign of the columns, or of direction" in line
-
-
-def test_a_sensor_zeroed_with_the_probe_on_it_is_accepted(models, made):
-    """The free tests then read zero; loads and touches are known all the same."""
-    campaign = in_base(made("large", CAMERAS), models["large"])
-    free = next(test for test in campaign.tests if test.free).wrenches.mean(axis=0)
-    assert is_accepted(changed(campaign, lambda t: replace(t, wrenches=t.wrenches - free)), models["large"])
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_markers_numbered_one_too_high_are_refused(models, made, name):
-    line = refusal(numbered(made(name, CAMERAS), 1), models[name])
-    assert "markers lie " in line and "are they numbered 1 too high" in line
-
-
-def test_a_campaign_without_markers_near_the_base_is_accepted(models, made):
-    """Their numbering cannot then be checked, and bent probes are shorter from end to end."""
-    campaign = made("large", CAMERAS)
-
-    def far(test):
-        if test.markers is None:
-            return test
-        m = test.markers
-        kept = m.numbers >= len(campaign.marker_s) // 2
-        return replace(
-            test, markers=replace(m, numbers=m.numbers[kept], p_world=m.p_world[kept], cov_world=m.cov_world[kept])
-        )
-
-    assert is_accepted(changed(campaign, far), models["large"])

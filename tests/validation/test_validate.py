@@ -328,33 +328,6 @@ def test_validate_as_json_is_one_document_and_refusals_one_line(call, made, tmp_
         assert (status, out, err.count("\n")) == (2, "", 1) and "Traceback" not in err
 
 
-def test_several_probes_make_one_table_as_the_papers(call, tmp_path):
-    """Each with its own files too; two of one name, or half a pair, are refused."""
-    pairs = []
-    for name in ("medium", "small"):
-        bundle, data = tmp_path / f"{name}.probe.json", tmp_path / f"{name}-data"
-        assert call("deploy", DESIGNS / f"{name}.toml", "--out", bundle)[0] == 0
-        assert call("campaign", DESIGNS / f"{name}.toml", data, "--stage")[0] == 0
-        pairs += [bundle, data]
-    status, out, _ = call("validate", *pairs, "--out", tmp_path / "out")
-    assert status == 0 and "  medium  touch-01" in out and "small: " in out
-    table = (tmp_path / "out/table1.csv").read_text().splitlines()
-    assert table[0].startswith(
-        "probe,length_mm,force_N,contact_fraction,shape_rms_mm,shape_rms_percent,contact_error_mm"
-    )
-    assert [line.split(",")[0] for line in table[1:]] == ["medium"] * 7 + ["small"] * 7
-    own = (tmp_path / "out/small/validation.csv").read_text()
-    assert all(line.split(",")[6] in own for line in table[8:])
-    for wrong, message in (
-        (pairs[:3], "3 paths are given"),
-        ([], "0 paths are given"),
-        (2 * pairs[:2], "medium is named twice"),
-    ):
-        status, out, err = call("validate", *wrong, "--out", tmp_path / "wrong")
-        assert (status, out, err.count("\n")) == (2, "", 1) and message in err
-    assert not (tmp_path / "wrong").exists()
-
-
 def test_the_markers_of_a_flattened_probe_lie_on_its_surface(tmp_path):
     """A print as designed, seen all but exactly from obliquely: what is left of the shape is the sensor's noise, a
     tenth of what the surface of a round section would be off by (1.8 mm)."""

@@ -9,10 +9,9 @@ from scene import BOX, SIZE, camera, probe
 
 pytest.importorskip("cv2")
 
-from probedesign.campaigns import photographs
 from probedesign.campaigns.reading import read_campaign
 from probedesign.cli.main import run
-from probedesign.vision.markers import find_markers, read_grey, write_png
+from probedesign.vision.markers import read_grey, write_png
 from tests.vision.rendering import render
 
 PAIR = [camera(name, focal=2300.0, size=SIZE) for name in ("left", "right")]
@@ -58,45 +57,6 @@ def test_photographs_become_markers_in_space(data, capsys):
 
     assert run(["markers", str(data)]) == 2
     assert "--force" in capsys.readouterr().err
-
-
-def test_an_interrupted_search_continues_from_its_cache(data, capsys, monkeypatch):
-    """The second photograph is interrupted; then the first is not searched again, unless it or an option changed."""
-    looked, interrupted, found = [], {"bent-right.png"}, {}
-
-    def find(path, *arguments):
-        looked.append(path.name)
-        if path.name in interrupted:
-            raise KeyboardInterrupt
-        if path.name not in found:  # once is enough: the test counts the calls
-            found[path.name] = find_markers(path, *arguments)
-        return found[path.name]
-
-    def markers(*options):
-        looked.clear()
-        status = run(["markers", str(data), "--no-overlays", *options])
-        return status, list(looked), capsys.readouterr()
-
-    monkeypatch.setattr(photographs, "find_markers", find)
-    left, right = "bent-left.png", "bent-right.png"
-    status, seen, output = markers("--dots", "dark")
-    assert (status, seen) == (130, [left, right])
-    assert "1 photographs are cached" in output.err and not (data / "pixels.csv").exists()
-    assert markers("--dots", "either")[1] == [left, right]
-    assert markers("--dots", "dark")[1] == [right]
-    picture = data / "images" / left
-    write_png(picture, read_grey(picture)[:-1])  # a row less
-    assert markers("--dots", "dark")[1] == [left, right]
-    with (data / "pixels.csv.unfinished").open("a") as file:
-        file.write('{"key": "half a li')
-    interrupted.clear()
-    status, seen, output = markers("--dots", "dark")
-    assert (status, seen) == (0, [right]) and "1 of 2 photographs were taken from the cache" in output.out
-    kept = (data / "pixels.csv").read_text()
-    assert not (data / "pixels.csv.unfinished").exists()
-    status, seen, output = markers("--dots", "dark", "--force")
-    assert seen == [left, right] and "before" not in output.out
-    assert (data / "pixels.csv").read_text() == kept  # to the last digit
 
 
 def swap_photographs(data):
