@@ -39,7 +39,6 @@ from probedesign.identification.residuals import CREEP, BlockKey, MeasuredTest, 
 from probedesign.identification.solver import (
     READING_KINDS,
     REJECTION_CHANCE,
-    ROBUST_KINDS,
     Fit,
     LeastSquaresProblem,
     Linearization,
@@ -372,7 +371,7 @@ def widened(fit: Fit, moves: Mapping[str, float]) -> Fit:
     squares = float(point.prior_residual @ point.prior_residual)
     freedom = float(np.isfinite(problem.prior[active]).sum()) - problem.size
     for block, weight in zip(point.blocks, fit.weight, strict=True):
-        scale = fit.scales.get(block.kind, 1.0) if block.kind in ROBUST_KINDS else 1.0
+        scale = fit.scales.get(block.kind, 1.0)
         squares += weight * block.squared_distance
         freedom += weight * scale**2 * len(block.r)
     birge_ratio = float(np.sqrt(squares / max(freedom, 1.0)))
@@ -434,42 +433,29 @@ def likely_causes(fit: Fit, names: Sequence[str] = ()) -> tuple[LikelyCause, ...
     seeds = list(dict.fromkeys(block.test for block, _ in outliers(point.blocks, fit.scales)))
     few = 2 * len(seeds) <= len(tests)  # two exchanged tests do not make most others outlying
     exchanged = _best_exchange(point, seeds[:MAX_SEEDS]) if few else {}
-    kept = {*_some(tests), *seeds[:MAX_SEEDS], *exchanged}
+    loaded, free = [test for test in tests if not test.free], [test for test in tests if test.free]
+    kept = {test.name for test in (*spread(loaded, MAX_LOADED), *spread(free, MAX_FREE))}
+    kept |= {*seeds[:MAX_SEEDS], *exchanged}
     some = replace(point.problem, tests=tuple(test for test in tests if test.name in kept))
     # as the fit solved them: from no initial guess, tests far off the design may have no solution
     solved = tuple(test for test in point.tests if test.measured.name in kept)
     blocks = tuple(block for block in point.blocks if block.test in kept or not block.test)
     stated = minimise(Linearization(some, point.values, solved, blocks), {})[0]
-    hypotheses = [each for each in _hypotheses(some, stated, exchanged) if not names or each.name in names]
-    causes = _fitted(some, stated, hypotheses)
+    causes = _fitted(stated, [each for each in _hypotheses(stated, exchanged) if not names or each.name in names])
     if names or any(cause.explains for cause in causes) or _agrees(stated):
         return tuple(causes)
     text = ("probe: another probe than the design's, or a mistake that is not listed here; check probe and "
              "fingerprint in campaign.toml, and the diameters of the print")  # fmt: skip
     probe = Hypothesis("probe", text, loose=range(some.common.size)[some.common.print_columns], price=-np.inf)
-    return *_fitted(some, stated, [probe]), *causes
+    return *_fitted(stated, [probe]), *causes
 
 
-def explaining_mistakes(problem: LeastSquaresProblem) -> tuple[LikelyCause, ...]:
-    """Return mistakes without which the rod has an equilibrium in tests that have none as they are."""
-    some = replace(problem, tests=tuple(test for test in problem.tests if test.name in _some(problem.tests)))
-    return tuple(_fitted(some, None, list(_hypotheses(some, None, {}))))
-
-
-def _some(tests: Sequence[MeasuredTest]) -> list[str]:
-    loaded, free = [test for test in tests if not test.free], [test for test in tests if test.free]
-    return [test.name for test in (*spread(loaded, MAX_LOADED), *spread(free, MAX_FREE))]
-
-
-def _fitted(
-    problem: LeastSquaresProblem, stated: Linearization | None, hypotheses: Sequence[Hypothesis]
-) -> list[LikelyCause]:
-    """Return the hypotheses that the tests speak for, the likeliest first; without a fit of the tests as stated, those
-    that explain all readings."""
-    starts = []
+def _fitted(stated: Linearization, hypotheses: Sequence[Hypothesis]) -> list[LikelyCause]:
+    """Return the hypotheses that the tests speak for, the likeliest first."""
+    starts, before = [], stated.loss({})
     for hypothesis in hypotheses:
-        changed = hypothesis.applied(problem)
-        if hypothesis.loose and stated is not None:
+        changed = hypothesis.applied(stated.problem)
+        if hypothesis.loose:
             start = linearize(changed, stated.values, [test.nuisance for test in stated.tests], stated)
         else:
             start = start_at(changed, 1.0)
@@ -479,25 +465,16 @@ def _fitted(
     causes = []
     for _, hypothesis, start in sorted(starts, key=lambda row: row[0])[:MAX_REFINED]:
         point = minimise(minimise(start, None, MAX_FIT_ROUNDS)[0], {}, MAX_FIT_ROUNDS)[0]
-        loss, explains = point.loss({}), _agrees(point) and (stated is None or not _agrees(stated))
-        moves, evidence = dict[str, float](), f"is {2.0 * loss:.4g}, and they have no equilibrium otherwise"
-        if stated is not None:
-            gain = stated.loss({}) - loss
-            if gain < 0.5 * chi2.isf(0.01 / len(starts), max(len(hypothesis.loose), 1)) + hypothesis.price:
-                continue
-            evidence = f"falls from {2.0 * stated.loss({}):.4g} to {2.0 * loss:.4g}"
-            change = point.values.x - stated.values.x
-            moves = {COMPONENTS[c]: float(change[c]) for c in range(PRINT)
-                     if OWNER[c].max_std is not None and problem.active[c]}  # fmt: skip
-        elif not explains:
+        loss, chance = point.loss({}), 0.01 / len(starts)
+        if before - loss < 0.5 * chi2.isf(chance, max(len(hypothesis.loose), 1)) + hypothesis.price:
             continue
         text = hypothesis.words.replace("RATIO", f"{np.exp(-2.0 * point.values.x[CREEP]):.3g}")
-        causes.append(
-            (
-                loss + hypothesis.price,
-                LikelyCause(hypothesis.name, text, f"χ² of {len(problem.tests)} tests {evidence}", explains, moves),
-            )
-        )
+        evidence = f"χ² of {len(stated.tests)} tests falls from {2.0 * before:.4g} to {2.0 * loss:.4g}"
+        change = point.values.x - stated.values.x
+        moves = {COMPONENTS[c]: float(change[c]) for c in range(PRINT)
+                 if OWNER[c].max_std is not None and stated.problem.active[c]}  # fmt: skip
+        explains = _agrees(point) and not _agrees(stated)
+        causes.append((loss + hypothesis.price, LikelyCause(hypothesis.name, text, evidence, explains, moves)))
     return [cause for _, cause in sorted(causes, key=lambda pair: pair[0])]
 
 
@@ -560,11 +537,9 @@ def _mistakes_of_columns(common: CommonParameters) -> Iterator[Hypothesis]:
     yield Hypothesis("frame", text, columns(np.positive, actual))
 
 
-def _hypotheses(
-    problem: LeastSquaresProblem, stated: Linearization | None, exchanged: dict[str, MeasuredTest]
-) -> Iterator[Hypothesis]:
-    """Yield what may be wrong with the tests; defects of the print only where they have been solved as `stated`."""
-    common, tests = problem.common, problem.tests
+def _hypotheses(stated: Linearization, exchanged: dict[str, MeasuredTest]) -> Iterator[Hypothesis]:
+    """Yield what may be wrong with the tests."""
+    common, tests = stated.problem.common, stated.problem.tests
     if any(test.wrench_base is not None for test in tests):
         yield from _mistakes_of_columns(common)
     if exchanged:
@@ -578,7 +553,7 @@ def _hypotheses(
         for shift, size in ((1, "low"), (-1, "high")):
             yield Hypothesis("marker", f"marker: all numbers too {size} by 1; check s_mm",
                              partial(_shifted, shift, common.model.rod.length))  # fmt: skip
-    if stated is not None and problem.active[CREEP]:
+    if stated.problem.active[CREEP]:
         # the stiffness by the plane of bending, exp(-c cos 2φ) with φ the direction of the force, replaces the creep
         forces = {test.measured.name: test.eq.load[:2] for test in stated.tests}
         cosines = {name: float((f[0] ** 2 - f[1] ** 2) / max(f @ f, 1e-12)) for name, f in forces.items()}

@@ -135,13 +135,13 @@ class RodVector(NamedTuple):
     """A vector of the solved rod in base axes with its derivatives; further axes first for several vectors."""
 
     value: Array  #: (3,), or (6,) for a wrench.
-    by_rod: Array  #: by the parameters of the rod's sensitivities, (., k).
-    by_steps: Array  #: by the parameters of `SolvedTest.stepped`, (., n).
-    by_angle: Array  #: by the angle of the touched point, (.,).
+    #: by the parameters of the rod's sensitivities, those of `SolvedTest.stepped`, and the angle of the touched point,
+    #: (., k + n + 1).
+    J: Array
 
     def by(self, *names: str) -> Array:
         """Return the derivatives by parameters of the rod's sensitivities, (., n)."""
-        return np.asarray(self.by_rod[..., [equations.PARAMETERS.index(name) for name in names]])
+        return np.asarray(self.J[..., [equations.PARAMETERS.index(name) for name in names]])
 
     @property
     def by_stiffness(self) -> Array:
@@ -160,16 +160,16 @@ DERIVATIVES: dict[str, Derivative] = {
     "bow_y": lambda test, vector: vector.by("rest_x", "rest_y") @ bow_curvature(test.rod.length)[1][:, None],
     "tilt": lambda test, vector: test.by_rotation(vector, test.values.T_stated_base)[..., 0:2],
     "clocking": lambda test, vector: test.by_rotation(vector, test.values.T_stated_base)[..., 2:3],
-    "gravity": lambda test, vector: vector.by_rod[..., GRAVITY] @ test.d_gravity,
+    "gravity": lambda test, vector: vector.J[..., GRAVITY] @ test.d_gravity,
     "diameters": lambda test, vector: vector.by("log_diameter"),
     "mount_rotation": lambda test, vector: test.by_rotation(vector, test.values.T_mount_error),
     "creep": lambda test, vector: -test.measured.creep_ramp * vector.by_stiffness,
 }
 #: By the nuisance parameters; the error of the pose acts on blocks as the common one does.
 NUISANCE_DERIVATIVES: dict[str, Derivative] = {
-    "force": lambda test, vector: vector.by_rod[..., 0:3],
-    "angle": lambda test, vector: vector.by_angle[..., None],
-    "weight": lambda test, vector: (vector.by_rod[..., 0:3] @ test.known_force)[..., None],
+    "force": lambda test, vector: vector.J[..., 0:3],
+    "angle": lambda test, vector: vector.J[..., -1:],
+    "weight": lambda test, vector: (vector.J[..., 0:3] @ test.known_force)[..., None],
     "s": lambda test, vector: vector.by("s_contact"),
     "stiffness": lambda test, vector: vector.by_stiffness,
 }
@@ -233,9 +233,9 @@ class SolvedTest:
     def by_rotation(self, vector: RodVector, T_rotated: Array) -> Array:
         """Return the derivative by a rotation about the axes that a pose maps to, through gravity and dead loads,
         (..., 3)."""
-        d = vector.by_rod[..., GRAVITY] @ skew(self.gravity_base)
+        d = vector.J[..., GRAVITY] @ skew(self.gravity_base)
         if not self.measured.touched:
-            d = d + vector.by_rod[..., 0:3] @ skew(self.eq.load[0:3])
+            d = d + vector.J[..., 0:3] @ skew(self.eq.load[0:3])
         return np.asarray(d @ T_rotated[:3, :3].T)
 
     def jacobian(self, vector: RodVector) -> Array:
@@ -245,9 +245,10 @@ class SolvedTest:
         J = np.zeros((*vector.value.shape, common.size + self.measured.nuisance_size))
         for name, derivative in DERIVATIVES.items():
             J[..., PARAMETERS[name].columns] = derivative(self, vector)
-        for i, name in enumerate(self.stepped):
-            J[..., PARAMETERS[name].columns] = vector.by_steps[..., i : i + 1]
-        J[..., common.print_columns] = vector.by_rod[..., equations.ALL_COLUMNS :] @ common.print_modes.T
+        steps = equations.ALL_COLUMNS + common.print_modes.shape[1]
+        for i, name in enumerate(self.stepped, steps):
+            J[..., PARAMETERS[name].columns] = vector.J[..., i : i + 1]
+        J[..., common.print_columns] = vector.J[..., equations.ALL_COLUMNS : steps] @ common.print_modes.T
         for name in NUISANCE_DERIVATIVES.keys() & self.measured.nuisance.keys():
             J[..., self._columns(name)] = NUISANCE_DERIVATIVES[name](self, vector)
         return J
@@ -256,22 +257,19 @@ class SolvedTest:
         at, size = self.measured.nuisance[name], self.values.common.size
         return slice(size + at.start, size + at.stop)
 
-    def vector(self, value: Array, by_rod: Array, by_steps: Array, by_angle: Array | None = None) -> RodVector:
-        """Return a vector in base axes with its total derivatives, through the couple of a touch.
-
-        The arguments are its value and its derivatives at a given couple.
-        """
-        by_angle = np.zeros_like(value) if by_angle is None else by_angle
+    def vector(self, value: Array, J: Array) -> RodVector:
+        """Return a vector in base axes with its total derivatives, through the couple of a touch, by its value and its
+        derivatives at a given couple."""
         if self.touch is None:
-            return RodVector(value, by_rod, by_steps, by_angle)
-        across = by_rod[..., COUPLE_COLUMNS]
-        couple_by_rod, couple_by_steps, couple_by_angle = self.touch.couple_response
-        total = by_rod + across @ couple_by_rod
+            return RodVector(value, J)
+        total = J + J[..., COUPLE_COLUMNS] @ self.touch.couple_response
         total[..., COUPLE_COLUMNS] = 0.0
-        return RodVector(value, total, by_steps + across @ couple_by_steps, by_angle + across @ couple_by_angle)
+        return RodVector(value, total)
 
-    def _by_steps(self, value: Callable[[Equilibrium], Array]) -> Array:
-        return differences(self.stepped, value, value(self.eq).shape)
+    def _of_equilibrium(self, value: Callable[[Equilibrium], Array], by_rod: Array) -> tuple[Array, Array]:
+        """Return a value of the equilibrium and its derivatives at a given couple, of which `by_rod` are the rod's."""
+        at, steps = value(self.eq), differences(self.stepped, value, by_rod.shape[:-1])
+        return at, np.concatenate([by_rod, steps, np.zeros((*at.shape, 1))], axis=-1)
 
     def in_world(self, vector: RodVector) -> tuple[Array, Array]:
         """Return points of the rod in the world as the reference measures them, with derivatives by all unknowns."""
@@ -313,8 +311,7 @@ class SolvedTest:
 
     def _wrench(self) -> Iterator[ResidualBlock]:
         measured, common, X = self.measured, self.values.common, wrench_map(self.values.T_mount_error)
-        by_steps = self._by_steps(lambda eq: eq.wrench_base)
-        vector = self.vector(self.eq.wrench_base, self.sensitivity.d_wrench, by_steps)
+        vector = self.vector(*self._of_equilibrium(lambda eq: eq.wrench_base, self.sensitivity.d_wrench))
         modelled, J = X @ vector.value, X @ self.jacobian(vector)
         f, arm = skew(modelled[:3]), skew(self.values.T_mount_error[:3, 3])
         J[:3, MOUNT_ROTATION] -= f
@@ -335,12 +332,12 @@ class SolvedTest:
 
     def _markers(self) -> Iterator[ResidualBlock]:
         measured = self.measured
-        p, d = self.eq.p_at(measured.marker_s), self.eq.d_p_at(measured.marker_s)
+        d, offset = self.eq.d_p_at(measured.marker_s), np.zeros(3)
         if measured.marker_side is not None:
             offset, d_offset = self._surface_offset(measured.marker_s, measured.marker_side)
-            p, d = p + offset, d + d_offset
-        by_steps = self._by_steps(lambda eq: eq.p_at(measured.marker_s))
-        modelled, J = self.in_world(self.vector(p, d, by_steps))
+            d = d + d_offset
+        p, J = self._of_equilibrium(lambda eq: eq.p_at(measured.marker_s), d)
+        modelled, J = self.in_world(self.vector(p + offset, J))
         residual = measured.p_markers_world - modelled
         return self._whitened("markers", residual, J, measured.cov_markers, measured.marker_numbers)
 
@@ -362,12 +359,11 @@ class SolvedTest:
 
     def _touch(self) -> Iterator[ResidualBlock]:
         measured = self.measured
-        by_steps = self._by_steps(lambda eq: eq.p_contact_base)
-        value, by_rod, by_angle = self.eq.p_contact_base, self.sensitivity.d_position, np.zeros(3)
+        p, J = self._of_equilibrium(lambda eq: eq.p_contact_base, self.sensitivity.d_position)
         if self.touch is not None:
-            offset, offset_by_rod, offset_by_steps, by_angle = self.touch.offset
-            value, by_rod, by_steps = value + offset, by_rod + offset_by_rod, by_steps + offset_by_steps
-        modelled, J = self.in_world(self.vector(value, by_rod, by_steps, by_angle))
+            offset, d_offset = self.touch.offset
+            p, J = p + offset, J + d_offset
+        modelled, J = self.in_world(self.vector(p, J))
         assert measured.p_touch_world is not None
         return self._whitened("touches", measured.p_touch_world - modelled, J, measured.std_touch**2 * np.eye(3))
 
@@ -375,10 +371,10 @@ class SolvedTest:
         """Yield the residual of the tip's displacement along gravity from the straight probe on the same base."""
         length, size = self.rod.length, float(np.linalg.norm(self.gravity_base))
         s, down = np.array([length]), self.gravity_base / size
-        by_steps = self._by_steps(lambda eq: eq.p_at(s))[0]
-        tip = self.vector(self.eq.p_at(s)[0] - [0.0, 0.0, length], self.eq.d_p_at(s)[0], by_steps)
-        gravity = RodVector(self.gravity_base, np.zeros_like(tip.by_rod), np.zeros_like(by_steps), np.zeros(3))
-        gravity.by_rod[:, GRAVITY] = np.eye(3)
+        p, d = self._of_equilibrium(lambda eq: eq.p_at(s)[0], self.eq.d_p_at(s)[0])
+        tip = self.vector(p - [0.0, 0.0, length], d)
+        gravity = RodVector(self.gravity_base, np.zeros_like(tip.J))
+        gravity.J[:, GRAVITY] = np.eye(3)
         scale, sag = 1.0 + self.values.x[SCALE], float(tip.value @ down)
         J = scale * (down @ self.jacobian(tip) + tip.value @ self.jacobian(gravity) / size)
         J[SCALE] = sag

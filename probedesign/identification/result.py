@@ -31,7 +31,7 @@ from probedesign.identification.parameters import (
     POISSON_STD,
     columns_of,
 )
-from probedesign.identification.solver import READING_KINDS, ROBUST_KINDS, Fit, NoiseScale, chi2_words
+from probedesign.identification.solver import READING_KINDS, Fit, NoiseScale, chi2_words
 
 CONFIDENCE = 0.95
 #: Units of residuals by kind of reading.
@@ -318,7 +318,7 @@ def residuals_of(fit: Fit) -> tuple[Residual, ...]:
     rows, weights = [], {block.key: weight for block, weight in zip(fit.point.blocks, fit.weight, strict=True)}
     for block in fit.point.every_block():
         weight = weights.get(block.key, 0.0)
-        scale = fit.scales.get(block.kind, 1.0) if block.kind in ROBUST_KINDS else 1.0
+        scale = fit.scales.get(block.kind, 1.0)
         s = None
         if block.kind == "markers":
             measured = tests[block.test].measured

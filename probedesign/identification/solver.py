@@ -10,7 +10,7 @@ converges.
 import math
 from collections.abc import Iterator, Sequence, Set
 from dataclasses import dataclass, replace
-from functools import cache, cached_property
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,48 +63,27 @@ class NoiseScale:
     measured: bool  #: whether the residuals scatter significantly more than stated.
 
 
-@cache
-def _full_weight_limit(k: int) -> float:
-    return float(chi2.ppf(FULL_WEIGHT, k))
-
-
-@cache
-def _median(k: int) -> float:
-    return float(chi2.median(k))
+def _distances(blocks: Sequence[ResidualBlock], scales: dict[str, float]) -> tuple[Array, Array, Array]:
+    """Return the squared distance of each block with the scale of its kind, the one up to which it has full weight, and
+    the variance of its kind over the stated one, (n,) each."""
+    variance = np.array([scales.get(block.kind, 1.0) ** 2 for block in blocks])
+    limit = chi2.ppf(FULL_WEIGHT, [len(block.r) for block in blocks])
+    limit[[block.kind not in ROBUST_KINDS for block in blocks]] = np.inf
+    return np.array([block.squared_distance for block in blocks]) / variance, limit, variance
 
 
 def weights(blocks: Sequence[ResidualBlock], scales: dict[str, float]) -> Array:
     """Return the weight of each block, relative to its stated information, (n,)."""
-    result = np.ones(len(blocks))
-    for i, block in enumerate(blocks):
-        if block.kind in ROBUST_KINDS:
-            variance = scales.get(block.kind, 1.0) ** 2
-            d2 = block.squared_distance / variance
-            result[i] = min(1.0, _full_weight_limit(len(block.r)) / max(d2, 1e-12)) / variance
-    return result
-
-
-def robust_loss(blocks: Sequence[ResidualBlock], scales: dict[str, float]) -> float:
-    """Return the loss that a fit minimises, half a χ² of blocks with full weight."""
-    total = 0.0
-    for block in blocks:
-        d2 = block.squared_distance
-        if block.kind in ROBUST_KINDS:
-            d2 /= scales.get(block.kind, 1.0) ** 2
-            limit = _full_weight_limit(len(block.r))
-            d2 = d2 if d2 <= limit else limit * (1.0 + np.log(d2 / limit))
-        total += 0.5 * d2
-    return total
+    squares, limit, variance = _distances(blocks, scales)
+    return np.asarray(np.minimum(1.0, limit / np.maximum(squares, 1e-12)) / variance)
 
 
 def median_scales(blocks: Sequence[ResidualBlock]) -> dict[str, float]:
     """Return the scale of each kind by the median of its distances, at least 1."""
-    result = {}
-    for kind in ROBUST_KINDS:
-        relative = [block.squared_distance / _median(len(block.r)) for block in blocks if block.kind == kind]
-        if relative:
-            result[kind] = max(1.0, float(np.sqrt(np.median(relative))))
-    return result
+    kinds, squares = np.array([block.kind for block in blocks]), [block.squared_distance for block in blocks]
+    relative = squares / chi2.median([len(block.r) for block in blocks])
+    medians = {kind: float(np.median(relative[kinds == kind])) for kind in ROBUST_KINDS if kind in kinds}
+    return {kind: max(1.0, math.sqrt(median)) for kind, median in medians.items()}
 
 
 def noise_scales(
@@ -137,14 +116,10 @@ def chi2_words(squares: float, freedom: int) -> str:
 
 def outliers(blocks: Sequence[ResidualBlock], scales: dict[str, float]) -> list[tuple[ResidualBlock, float]]:
     """Return the blocks that noise does not explain, farthest first, with their Mahalanobis distance."""
-    count = sum(block.kind in ROBUST_KINDS for block in blocks)
-    result = []
-    for block in blocks:
-        if block.kind in ROBUST_KINDS:
-            d2 = block.squared_distance / scales.get(block.kind, 1.0) ** 2
-            if chi2.sf(d2, len(block.r)) < OUTLIER_CHANCE / max(count, 1):
-                result.append((block, float(np.sqrt(d2))))
-    return sorted(result, key=lambda pair: -pair[1])
+    robust = [block for block in blocks if block.kind in ROBUST_KINDS]
+    squares = _distances(robust, scales)[0]
+    unlikely = chi2.sf(squares, [len(block.r) for block in robust]) < OUTLIER_CHANCE / max(len(robust), 1)
+    return [(robust[i], math.sqrt(squares[i])) for i in np.argsort(-squares, kind="stable") if unlikely[i]]
 
 
 # the search
@@ -297,8 +272,10 @@ class Linearization:
         return np.concatenate([np.repeat(of_blocks, lengths), np.ones(self.problem.n_active)])
 
     def loss(self, scales: dict[str, float]) -> float:
-        """Return the robust loss, half a χ² for blocks with full weight, and that of the priors."""
-        return robust_loss(self.blocks, scales) + 0.5 * float(self.prior_residual @ self.prior_residual)
+        """Return what a fit minimises: the robust loss, half a χ² at full weight, and that of the priors."""
+        squares, limit, _ = _distances(self.blocks, scales)
+        robust = np.where(squares <= limit, squares, limit * (1.0 + np.log(np.maximum(squares / limit, 1.0))))
+        return 0.5 * float(robust.sum() + self.prior_residual @ self.prior_residual)
 
     def movable(self, weight: Array) -> NDArray[np.bool_]:
         """Return which unknowns are within their bounds or are drawn away from the bound they are at, (size,)."""

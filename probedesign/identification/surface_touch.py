@@ -33,8 +33,8 @@ _IMAGINARY = 1e-30  # complex step of the derivatives: so small that no digit is
 class SurfaceTouch:
     """A solved touch.
 
-    Derivatives of its values are those by the rod's parameters, by the parameters with a step and by the angle, (., k),
-    (., n) and (.,), at a given couple.
+    Derivatives of its values, at a given couple, are columns: by the rod's parameters, by those with a step, and by the
+    angle, (., k + n + 1).
     """
 
     rod: Rod  #: the rod.
@@ -49,8 +49,8 @@ class SurfaceTouch:
         return float(self.rod.radius_at(self.eq.s_contact))
 
     @cached_property
-    def _values(self) -> tuple[Array, Array, Array, Array]:
-        """Offset, couple, friction ratios and normal force, (9,), with their derivatives.
+    def _values(self) -> tuple[Array, Array]:
+        """Offset, couple, friction ratios and normal force, (9,), with their derivatives, (9, k + n + 1).
 
         Outward normal N = cos α e + sin α t, along the flank a = cos α t - sin α e; the ratios are F·a/(-F·N) and
         F·h/(-F·N).
@@ -75,39 +75,31 @@ class SurfaceTouch:
         by_rod = by[:, 0:12] @ sensitivity.d_contact + np.outer(by[:, 15], d_log_radius)
         by_rod[:, 0:3] += by[:, 12:15]
         of_axes = np.stack([by[:, 3:6], by[:, 9:12], by[:, 0:3]], axis=-1)  # as step_axes has them
-        return values[:, 0].real, by_rod, np.einsum("ijk,jkn->in", of_axes, self.step_axes), by[:, 16]
-
-    def _rows(self, rows: slice) -> tuple[Array, Array, Array, Array]:
-        value, by_rod, by_steps, by_angle = self._values
-        return value[rows], by_rod[rows], by_steps[rows], by_angle[rows]
+        by_steps = np.einsum("ijk,jkn->in", of_axes, self.step_axes)
+        return values[:, 0].real, np.column_stack([by_rod, by_steps, by[:, 16]])
 
     @property
-    def offset(self) -> tuple[Array, Array, Array, Array]:
+    def offset(self) -> tuple[Array, Array]:
         """Vector from the axis to the touched point [m], (3,), and its derivatives."""
-        return self._rows(slice(0, 3))
+        return self._values[0][0:3], self._values[1][0:3]
 
     @property
-    def friction(self) -> tuple[Array, Array, Array, Array]:
+    def friction(self) -> tuple[Array, Array]:
         """Tangential over normal force along the flank and around it, (2,), and its derivatives.
 
         Defined where the force `pushes`.
         """
-        return self._rows(slice(6, 8))
+        return self._values[0][6:8], self._values[1][6:8]
 
     @property
-    def couple(self) -> Array:
-        """Couple of the force about the axis, by the section as it is [N·m], (3,)."""
-        return self._values[0][3:6]
-
-    @property
-    def couple_jacobian(self) -> Array:
-        """Derivatives of the couple by the rod's parameters, at a given section, (3, k)."""
-        return self._values[1][3:6]
+    def couple(self) -> tuple[Array, Array]:
+        """Couple of the force about the axis, by the section as it is [N·m], (3,), and its derivatives."""
+        return self._values[0][3:6], self._values[1][3:6]
 
     @property
     def converged(self) -> bool:
         """Whether the couple of the equilibrium is that of its section."""
-        error = np.linalg.norm(self.couple - self.eq.load[COUPLE : COUPLE + 3])
+        error = np.linalg.norm(self.couple[0] - self.eq.load[COUPLE : COUPLE + 3])
         return bool(error <= COUPLE_TOLERANCE * self.radius * np.linalg.norm(self.force) + 1e-15)
 
     @property
@@ -116,15 +108,12 @@ class SurfaceTouch:
         return bool(self._values[0][8] > MIN_NORMAL * np.linalg.norm(self.force))
 
     @cached_property
-    def couple_response(self) -> tuple[Array, Array, Array]:
-        """Derivatives of the couple at equilibrium by the rod's parameters (3, k), the parameters with a step (3, n)
-        and the angle (3,)."""
-        _, J, by_steps, by_angle = self._rows(slice(3, 6))
-        direct = J.copy()
+    def couple_response(self) -> Array:
+        """Derivatives of the couple at equilibrium, (3, k + n + 1)."""
+        direct = self.couple[1].copy()
+        by_couple = direct[:, COUPLE_COLUMNS].copy()
         direct[:, COUPLE_COLUMNS] = 0.0
-        columns = np.column_stack([direct, by_steps, by_angle])
-        response: Array = np.linalg.solve(np.eye(3) - J[:, COUPLE_COLUMNS], columns).astype(float, copy=False)
-        return response[:, : J.shape[1]], response[:, J.shape[1] : -1], response[:, -1]
+        return np.asarray(np.linalg.solve(np.eye(3) - by_couple, direct), dtype=float)
 
 
 def solve_touch(
@@ -151,6 +140,7 @@ def solve_touch(
         touch = SurfaceTouch(rod, eq, force, angle, np.zeros((3, 3, 0)))
         if touch.converged:
             return eq, touch.pushes
-        matrix = np.eye(3) - touch.couple_jacobian[:, COUPLE_COLUMNS]  # a step of Newton's method
-        couple, tip = couple + np.linalg.solve(matrix, touch.couple - couple), eq.tip
+        of_section, J = touch.couple
+        step = np.linalg.solve(np.eye(3) - J[:, COUPLE_COLUMNS], of_section - couple)  # of Newton's method
+        couple, tip = couple + step, eq.tip
     return eq, False

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from probedesign.core.csv_tables import read_text
 from probedesign.core.errors import InputError, one_line, quoted, require
@@ -32,6 +33,8 @@ WIDTH, HEIGHT, SIZE = (("image_width", "image_Width"), ("image_height", "image_H
 ERROR = ("avg_reprojection_error", "Avg_Reprojection_Error", "reprojection_error", "rms", "RMS")
 #: Names of the distortion models with k1, k2, p1, p2, k3 in ROS and Kalibr, and of none.
 PINHOLE = {"plumb_bob", "radtan", "none"}
+KEYS = {name + end for names in (MATRIX, BENDS, ROTATION, TRANSLATION, WIDTH, HEIGHT, SIZE, ERROR) for name in names
+        for end in ("", "1", "2")} | {"distortion_model"}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -141,54 +144,40 @@ def read_camera_files(
 
 def _read(path: Path) -> _Document:
     text = read_text(path, "calibration file", MAX_BYTES, "YAML or XML")
-    values = _from_xml(path, text) if text.lstrip().startswith("<") else _from_yaml(path, text)
+    opencv = text.lstrip().startswith(("<", "%YAML"))
+    values = _from_opencv(path, text) if opencv else _from_yaml(path, text)
     if not isinstance(values, dict) or not values:
         raise InputError(f"{path}: is not a calibration file; OpenCV's, ROS's and Kalibr's can be read")
     return _Document(str(path), values)
 
 
+def _from_opencv(path: Path, text: str) -> dict[str, Any]:
+    """Return what OpenCV's storage has, in YAML or XML, of the keys that are read."""
+    require("cv2", "reading calibration files", "vision", "opencv")
+    import cv2
+
+    def value(node: Any) -> Any:
+        if node.isSeq():
+            return [node.at(i).real() for i in range(node.size())]
+        return node.mat() if node.isMap() else node.string() if node.isString() else node.real()
+
+    try:
+        storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
+        return {key: value(storage.getNode(key)) for key in storage.root().keys() if key in KEYS}  # noqa: SIM118
+    except (cv2.error, SystemError):
+        raise InputError(f"{path}: is not a calibration file of OpenCV, or is cut off") from None
+
+
 def _from_yaml(path: Path, text: str) -> Any:
-    """Parse YAML safely: no tags but OpenCV's matrices."""
     require("yaml", "reading calibration files", "vision", "pyyaml")
     import yaml
 
-    class Loader(yaml.SafeLoader):  # type: ignore[misc]
-        """YAML with OpenCV's tags of matrices, which are mappings."""
-
-    for kind in ("matrix", "nd-matrix"):
-        Loader.add_constructor(
-            f"tag:yaml.org,2002:opencv-{kind}", lambda loader, node: loader.construct_mapping(node, deep=True)
-        )
-    text = re.sub(r"\A%YAML:1\.\d\s*\n", "", text)  # OpenCV's first line is not one of YAML
     try:
-        return yaml.load(text, Loader)
-    except yaml.MarkedYAMLError as error:
-        line = f":{error.problem_mark.line + 1}" if error.problem_mark else ""
-        problem = one_line(error.problem or "", 80)
-        if isinstance(error, yaml.constructor.ConstructorError):
-            problem = f"{problem}; a calibration file holds numbers and texts only"
+        return yaml.safe_load(text)
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
+        mark = getattr(error, "problem_mark", None)
+        line, problem = f":{mark.line + 1}" if mark else "", one_line(getattr(error, "problem", None) or "", 80)
         raise InputError(f"{path}{line}: is not valid YAML, or is cut off: {problem}") from None
-    except (yaml.YAMLError, ValueError, RecursionError):
-        raise InputError(f"{path}: is not valid YAML") from None
-
-
-def _from_xml(path: Path, text: str) -> dict[str, Any]:
-    """Parse OpenCV's XML safely: no entities."""
-    require("defusedxml", "reading calibration files in XML", "vision")
-    from xml.etree.ElementTree import ParseError
-
-    from defusedxml import DefusedXmlException, ElementTree
-
-    try:
-        root = ElementTree.fromstring(text, forbid_dtd=True)
-    except ParseError as error:
-        raise InputError(f"{path}:{error.position[0]}: is not valid XML, or is cut off") from None
-    except (DefusedXmlException, ValueError, RecursionError):
-        raise InputError(f"{path}: is not plain XML: it declares entities") from None
-    if root.tag != "opencv_storage":
-        raise InputError(f"{path}: is XML, but not of OpenCV: its root is {quoted(root.tag)}")
-    words = {entry.tag: (entry.findtext("data") or entry.text or "").split() for entry in root}
-    return {tag: value[0] if len(value) == 1 else value for tag, value in words.items()}
 
 
 def _opencv(document: _Document, name: str, suffix: str) -> Camera:
@@ -290,8 +279,6 @@ def _stated_pose(document: _Document, unit: float | None) -> Array | None:
                             "[cameras]")  # fmt: skip
     numbers = document.numbers(turn, (3, 9))
     if len(numbers) == 3:
-        from scipy.spatial.transform import Rotation
-
         R = Rotation.from_rotvec(numbers).as_matrix()
     else:
         R = numbers.reshape(3, 3)

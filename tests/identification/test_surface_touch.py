@@ -37,12 +37,12 @@ def test_derivatives_by_the_angle_and_the_force_are_differences(flatness: float,
 
     def at(angle: float, force: np.ndarray) -> np.ndarray:
         touch = SurfaceTouch(rod, eq, force, angle, np.zeros((3, 3, 0)))
-        return np.concatenate([touch.couple, touch.offset[0], touch.friction[0]])
+        return np.concatenate([touch.couple[0], touch.offset[0], touch.friction[0]])
 
     touch = SurfaceTouch(rod, eq, force, angle, np.zeros((3, 3, 0)))
     found = at(angle + h, force) - at(angle - h, force)
-    couple = (np.eye(3) - touch.couple_jacobian[:, COUPLE_COLUMNS]) @ touch.couple_response[2]
-    wanted = 2.0 * h * np.concatenate([couple, touch.offset[3], touch.friction[3]])
+    couple = (np.eye(3) - touch.couple[1][:, COUPLE_COLUMNS]) @ touch.couple_response[:, -1]
+    wanted = 2.0 * h * np.concatenate([couple, touch.offset[1][:, -1], touch.friction[1][:, -1]])
     np.testing.assert_allclose(found, wanted, atol=1e-8 * h, rtol=1e-6)
     along = np.array([1.0, -2.0, 0.5]) * 1e-7
     moved = at(angle, force + along) - at(angle, force - along)
