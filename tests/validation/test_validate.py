@@ -255,7 +255,7 @@ def test_incomparable_data_are_refused(large, made):
 def test_the_page_draws_every_test_and_is_self_contained(found):
     page = validation_page(found).decode()
     seen = assert_whole(page)
-    assert seen.seen["svg"] == len(found.tests) + 2 + 4  # two of errors, force and moment of two
+    assert seen.seen["svg"] == len(found.tests) + 2  # two of errors
     for trial in found.tests:
         assert f"<td>{trial.test.name}</td>" in page
 

@@ -203,7 +203,7 @@ NOT_FINITE = TRUE[0].K * [[1, 1, 1], [1, np.nan, 1], [1, 1, 1]]
         (text("camera_matrix: 2001-99-99\n"), "is not valid YAML"),
         (text(ROS.replace("plumb_bob", "equidistant")), "'equidistant' is not supported"),
         (text(ROS.replace("3000.0, 0.0, 959.5", "x, 0.0, 959.5")), "is not a matrix of numbers"),
-        (text('<?xml version="1.0"?><!DOCTYPE a [<!ENTITY b "c">]><opencv_storage>&b;</opencv_storage>'), "is not a calib"),
+        (text('<?xml version="1.0"?><!DOCTYPE a [<!ENTITY b "c">]><a>&b;</a>'), "is not a calib"),
         (text("<a/>"), "is not a calibration file"),
         (lambda folder: [folder / "left.yaml", folder / "right.yaml"], "no such calibration file"),
         (lambda folder: [one_camera(folder, TRUE[0])], "1 files for 2 cameras"),
