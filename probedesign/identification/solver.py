@@ -67,7 +67,7 @@ def _distances(blocks: Sequence[ResidualBlock], scales: dict[str, float]) -> tup
     """Return the squared distance of each block with the scale of its kind, the one up to which it has full weight, and
     the variance of its kind over the stated one, (n,) each."""
     variance = np.array([scales.get(block.kind, 1.0) ** 2 for block in blocks])
-    limit = chi2.ppf(FULL_WEIGHT, [len(block.r) for block in blocks])
+    limit = np.asarray(chi2.ppf(FULL_WEIGHT, [len(block.r) for block in blocks]))
     limit[[block.kind not in ROBUST_KINDS for block in blocks]] = np.inf
     return np.array([block.squared_distance for block in blocks]) / variance, limit, variance
 
@@ -81,7 +81,7 @@ def weights(blocks: Sequence[ResidualBlock], scales: dict[str, float]) -> Array:
 def median_scales(blocks: Sequence[ResidualBlock]) -> dict[str, float]:
     """Return the scale of each kind by the median of its distances, at least 1."""
     kinds, squares = np.array([block.kind for block in blocks]), [block.squared_distance for block in blocks]
-    relative = squares / chi2.median([len(block.r) for block in blocks])
+    relative = np.asarray(squares) / np.asarray(chi2.median([len(block.r) for block in blocks]))
     medians = {kind: float(np.median(relative[kinds == kind])) for kind in ROBUST_KINDS if kind in kinds}
     return {kind: max(1.0, math.sqrt(median)) for kind, median in medians.items()}
 
@@ -118,7 +118,8 @@ def outliers(blocks: Sequence[ResidualBlock], scales: dict[str, float]) -> list[
     """Return the blocks that noise does not explain, farthest first, with their Mahalanobis distance."""
     robust = [block for block in blocks if block.kind in ROBUST_KINDS]
     squares = _distances(robust, scales)[0]
-    unlikely = chi2.sf(squares, [len(block.r) for block in robust]) < OUTLIER_CHANCE / max(len(robust), 1)
+    chances = np.asarray(chi2.sf(squares, [len(block.r) for block in robust]))
+    unlikely = chances < OUTLIER_CHANCE / max(len(robust), 1)
     return [(robust[i], math.sqrt(squares[i])) for i in np.argsort(-squares, kind="stable") if unlikely[i]]
 
 
