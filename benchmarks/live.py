@@ -14,10 +14,8 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections import Counter
-from collections.abc import Generator, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack, closing, contextmanager, suppress
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
 
@@ -28,7 +26,6 @@ from benchmarks.view import free_port
 from probedesign.design import load_design
 from probedesign.estimation.estimator import Estimator
 from probedesign.frozen_probe import load_estimator, write_frozen
-from probedesign.live.blocks import Block
 from probedesign.live.outputs.guard import Guard, GuardChannel, GuardedSource, Limits
 from probedesign.live.outputs.message_streams import FoxgloveSink
 from probedesign.live.outputs.recording import RecordingSink
@@ -36,7 +33,6 @@ from probedesign.live.outputs.sinks import SinkGroup, UdpPublisher
 from probedesign.live.priority import ESTIMATES
 from probedesign.live.processing.chain import ProcessingOptions
 from probedesign.live.processing.commands import CommandQueue
-from probedesign.live.processing.estimates import EstimateUpdate
 from probedesign.live.processing.tare import TareWindow
 from probedesign.live.run import estimate_stream, warm_up
 from probedesign.live.sources.netft import NetFTSource
@@ -45,7 +41,6 @@ from probedesign.live.sources.udp import UdpSource
 from probedesign.live.view.sinks import BrowserView
 from probedesign.live.view.state import ViewState
 from probedesign.probe import build_probe
-from probedesign.simulation.netft_box import FAULT_DURATION
 
 MINUTES = 1.0 / 3.0
 AVERAGE = 36
@@ -56,7 +51,7 @@ RARELY = 100  #: Estimates from one look at the memory to the next, since that t
 
 
 def report(minutes: float = MINUTES, view: bool = False, foxglove: bool = False) -> None:
-    """Print losses, latency and their growth; then what a restart of the box does.
+    """Print losses, latency and their growth.
 
     Args:
         minutes: how long the records stream [min].
@@ -73,8 +68,6 @@ def report(minutes: float = MINUTES, view: bool = False, foxglove: bool = False)
             _rate(estimator, box, 60.0 * minutes, folder, view, foxglove)
         with _box(bundle) as box:  # another one, which is free at first
             _guard(estimator, box.spec, min(60.0 * minutes, 60.0))
-        with _box(bundle, "--scene", "free", "--fault", "restart@8", "--fault", "stall@15") as box:
-            _faults(estimator, box.spec, 20.0)
         _datagrams(estimator)
 
 
@@ -83,30 +76,6 @@ class Peer(NamedTuple):
 
     spec: str
     pid: int
-
-
-@dataclass
-class Watched:
-    """A source, and when its blocks came."""
-
-    source: NetFTSource  #: whose blocks pass.
-    #: from the last reading to the first block that tells silence, of each [s].
-    silences: list[float] = field(default_factory=list)
-    gaps: list[float] = field(default_factory=list)  #: from the last reading before to the first after each [s].
-
-    def __post_init__(self) -> None:
-        self.title, self.notes = self.source.title, self.source.notes
-
-    def __iter__(self) -> Generator[Block, None, None]:
-        last, quiet = np.nan, False
-        for block in self.source:
-            if len(block) == 0 and not quiet:
-                self.silences.append(time.monotonic() - last)
-            if len(block) and quiet:
-                self.gaps.append(float(block.received[0]) - last)
-            quiet = len(block) == 0
-            last = last if quiet else float(block.received[-1])
-            yield block
 
 
 def _rate(estimator: Estimator, box: Peer, seconds: float, folder: Path, view: bool, foxglove: bool) -> None:
@@ -211,27 +180,6 @@ def _guard(estimator: Estimator, spec: str, seconds: float) -> None:
          f"{np.median(late):.2f}, {np.percentile(late, 99.9):.1f}", ""],
     ]  # fmt: skip
     print_table(f"guarded motion over loopback: {seconds:g} s", ["", "measured", "target"], rows)
-
-
-def _faults(estimator: Estimator, spec: str, seconds: float) -> None:
-    events: list[str] = []
-    source = open_source(spec, estimator.model, events.append)
-    assert isinstance(source, NetFTSource)
-    watched = Watched(source)
-    answers: list[EstimateUpdate] = list(
-        estimate_stream(estimator, watched, ProcessingOptions(TARE, AVERAGE, seconds=seconds), print)
-    )
-    back = ", ".join(f"{max(gap - FAULT_DURATION, 0.0):.2f}" for gap in watched.gaps)
-    after = Counter(a.estimate.result for a in answers if a.reading.stretch > 0)
-    stretches = [a.reading.stretch for a in answers]
-    rows = [
-        ["silence reported after [ms]", ", ".join(f"{1e3 * s:.0f}" for s in watched.silences), "≤ 50"],
-        ["records again after the box is back [s]", back, "≤ 2"],
-        ["tare kept, and reported", str(sum("the tare is kept" in line for line in events)), str(len(watched.gaps))],
-        ["free probe called free after it", f"{after['no_contact']} of {after.total()}", "all"],
-        ["streams kept apart", "yes" if stretches == sorted(stretches) and stretches[-1] > 0 else "no", "yes"],
-    ]
-    print_table(f"the box restarts, then stalls, for {FAULT_DURATION:g} s each", ["", "measured", "target"], rows)
 
 
 DATAGRAM_RATES = (1000, 2000, 4000, 7000, 10_000)  #: Rates at which wrenches are sent by UDP [1/s].
@@ -369,9 +317,9 @@ def _resident() -> float:
 
 
 @contextmanager
-def _box(bundle: Path, *options: str) -> Iterator[Peer]:
+def _box(bundle: Path) -> Iterator[Peer]:
     """A box in a process of its own, as `probedesign simulate` makes it."""
-    command = [sys.executable, "-m", "probedesign.cli.main", "simulate", str(bundle), *options]
+    command = [sys.executable, "-m", "probedesign.cli.main", "simulate", str(bundle)]
     box = subprocess.Popen([*command, "--port", "0", "--http-port", "0"], stdout=subprocess.PIPE, text=True)
     try:
         assert box.stdout is not None

@@ -1,14 +1,13 @@
-"""A simulated Net F/T box: transducer, page over HTTP, records over UDP, faults; and the motion of its base."""
+"""A simulated Net F/T box: transducer, page over HTTP, records over UDP; and the motion of its base."""
 
 import json
 import math
-import re
 import select
 import socket
 import threading
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from time import monotonic
@@ -26,7 +25,6 @@ from probedesign.live.poses.base_poses import pose_from_matrix
 from probedesign.live.sources import netft_rdt as rdt
 from probedesign.live.sources.netft_configuration import TAGS, NetFTConfiguration
 from probedesign.live.sources.netft_rdt import (
-    LATCHED,
     PAGE,
     RECORDS,
     SAMPLES_PER_SECOND,
@@ -52,19 +50,15 @@ def configuration_page(configuration: NetFTConfiguration) -> bytes:
     return "\n".join([*lines, "</netft>", ""]).encode()
 
 
-def _page_server(address: tuple[str, int], page: Callable[[], bytes | None]) -> ThreadingHTTPServer:
-    """Return a server of what `page` returns; None sends no response, as a box that is switched off."""
+def _page_server(address: tuple[str, int], page: Callable[[], bytes]) -> ThreadingHTTPServer:
+    """Return a server of what `page` returns."""
 
     class Handler(BaseHTTPRequestHandler):
         timeout = 5.0  # of a client that sends nothing
 
         def do_GET(self) -> None:
-            content = page()
-            if content is None:
-                self.close_connection = True
-                return
             known = self.path.partition("?")[0] == PAGE
-            body = content if known else b""
+            body = page() if known else b""
             self.send_response(200 if known else 404)
             self.send_header("Content-Type", "text/xml")
             self.send_header("Content-Length", str(len(body)))
@@ -77,71 +71,6 @@ def _page_server(address: tuple[str, int], page: Callable[[], bytes | None]) -> 
     server = ThreadingHTTPServer(address, Handler)
     server.daemon_threads, server.block_on_close = True, False
     return server
-
-
-#: Events that affect the box, for a second or permanently; `units`: another configuration is selected.
-FAULT_EVENTS = ("stall", "restart", "stolen", "units", "saturate")
-
-
-@dataclass
-class FaultInjector:
-    """Probabilities of faults per packet, and events at given times."""
-
-    loss: float = 0.0  #: packet not sent.
-    reorder: float = 0.0  #: packet sent after the next one.
-    duplicate: float = 0.0  #: packet sent twice.
-    garbage: float = 0.0  #: packet preceded by a datagram of random length and content, shorter than a record.
-    short: float = 0.0  #: packet truncated.
-    #: (time since the stream started [s], one of `FAULT_EVENTS`).
-    events: list[tuple[float, str]] = field(default_factory=list)
-    seed: int = 1  #: seed of the random numbers.
-
-    def __post_init__(self) -> None:
-        self._random, self._delayed = np.random.default_rng(self.seed), list[bytes]()
-
-    def apply(self, packets: list[bytes]) -> list[bytes]:
-        """Return the packets as they reach the wire, in order."""
-        if not (self.loss or self.reorder or self.duplicate or self.garbage or self.short):
-            return packets
-        sent = list[bytes]()
-        for packet in packets:
-            loss, reorder, duplicate, garbage, short = self._random.random(5)
-            if garbage < self.garbage:
-                sent += [self._random.bytes(int(self._random.integers(0, 35))), packet]
-            elif loss < self.loss:
-                continue
-            elif reorder < self.reorder and not self._delayed:
-                self._delayed.append(packet)
-            else:
-                if short < self.short:
-                    packet = packet[: int(self._random.integers(1, len(packet)))]
-                sent += [packet] * (1 + (duplicate < self.duplicate)) + self._delayed
-                self._delayed = []
-        return sent
-
-
-def parse_faults(texts: list[str], seed: int = 1) -> FaultInjector:
-    """Return the faults given on the command line: `loss=0.01`, `restart@10`.
-
-    Raises:
-        InputError: a fault is unknown or its number is invalid.
-    """
-    rates = [f.name for f in fields(FaultInjector) if f.type is float or f.type == "float"]
-    rates_given: dict[str, float] = {}
-    events = []
-    for text in texts:
-        match = re.fullmatch(r"([a-z]+)([=@])(\d+\.?\d*|\.\d+)", text)
-        name, sign, number = match.groups() if match else ("", "", "")
-        if sign == "=" and name in rates and float(number) <= 1.0:
-            rates_given[name] = float(number)
-        elif sign == "@" and name in FAULT_EVENTS:
-            events.append((float(number), name))
-        else:
-            raise InputError(
-                f"--fault {text!r} must be one of {', '.join(rates)} as loss=0.01, a fraction of all packets, "
-                f"or one of {', '.join(FAULT_EVENTS)} as restart@10, seconds after the stream started"
-            )
-    return FaultInjector(**rates_given, events=sorted(events), seed=seed)
 
 
 # the transducer
@@ -159,37 +88,31 @@ class SimulatedTransducer:
     """Simulates the samples of the box: noise and range of the model's sensor, and a walk of its zero."""
 
     def __init__(self, model: ProbeModel, load: Load, seed: int, drift: float = DRIFT) -> None:
-        self.saturated = False  #: Whether a fault sets it to its limit.
-        self.latched = False  #: Whether a monitor condition is latched.
         self._load = load
         self._random = np.random.default_rng(seed)
         self._noise, self._drift = model.noise.std * math.sqrt(model.averaging_samples), drift
-        self._zero = np.array(OFFSET)
-        self._bias = np.zeros(6)
         self._range = model.wrench_range
-        self._last = self._zero
+        self._last = self._zero = np.array(OFFSET)
+        self._bias = np.zeros(6)
 
-    def read(self, time: Array, spacing: float, configuration: NetFTConfiguration) -> tuple[Array, NDArray[np.int64]]:
-        """Return counts (n, 6) and status words (n,) at times [s], (n,), with an interval of `spacing` [s]."""
-        walk = self._random.normal(0.0, self._drift * math.sqrt(spacing * len(time)), 6)
+    def read(self, time: Array, configuration: NetFTConfiguration) -> tuple[Array, NDArray[np.int64]]:
+        """Return counts (n, 6) and status words (n,) of successive samples at times [s], (n,)."""
+        walk = self._random.normal(0.0, self._drift * math.sqrt(len(time) / SAMPLES_PER_SECOND), 6)
         self._zero = self._zero + self._noise * walk
         wrench = self._load(time) + self._zero + self._noise * self._random.standard_normal((len(time), 6))
-        if self.saturated:
-            wrench[:, 0] = 2.0 * self._range[0]
         over = (np.abs(wrench) > self._range).any(axis=1)
         wrench = np.clip(wrench, -self._range, self._range)
         self._last = wrench.mean(axis=0)
         counts = np.rint((wrench - self._bias) @ np.linalg.inv(configuration.to_sensor).T)
-        status = np.where(over, SUMMARY | SATURATED, 0) | (SUMMARY | LATCHED if self.latched else 0)
-        return np.clip(counts, -MAX_COUNTS, MAX_COUNTS), status
+        return np.clip(counts, -MAX_COUNTS, MAX_COUNTS), np.where(over, SUMMARY | SATURATED, 0)
 
-    def bias(self, on: bool) -> tuple[float, ...]:
-        """Store the current wrench as the software bias, or clear it.
+    def bias(self) -> tuple[float, ...]:
+        """Store the current wrench as the software bias.
 
         Returns:
             The bias as shown on the page: six integers, here in ten-thousandths of the range.
         """
-        self._bias = self._last * on
+        self._bias = self._last
         return tuple(float(v) for v in np.rint(1e4 * self._bias / self._range))
 
 
@@ -199,10 +122,9 @@ TICK = 0.001  #: Interval between bursts of records [s], the resolution of Pytho
 MAX_BACKLOG = SAMPLES_PER_SECOND  #: Maximum number of samples sent late; what a suspended process did not send is lost.
 #: Samples since power-up at the start of the program: a box that has been on for two minutes.
 INITIAL_SAMPLES = 1_000_000
-FAULT_DURATION = 1.0  #: Duration of a restart and of other faults [s]; a real box takes about ten.
 
 #: Configuration of a Nano17: torque in N·mm.
-NATIVE = NetFTConfiguration("Net F/T (simulated by probedesign)", "N", "N-mm", 1e6, 1e6, "Nano17")
+NATIVE = NetFTConfiguration("Net F/T (simulated by probedesign)", "N", "N-mm", 1e6, 1e6)
 
 
 class SimulatedNetFT:
@@ -216,7 +138,6 @@ class SimulatedNetFT:
         host: str = "127.0.0.1",
         port: int = 0,
         http_port: int = 0,
-        faults: FaultInjector | None = None,
         initial_samples: int = INITIAL_SAMPLES,
     ) -> None:
         """Bind both ports; requests are served when the context is entered.
@@ -227,7 +148,6 @@ class SimulatedNetFT:
             host: address to listen on.
             port: RDT port; 0 lets the system choose.
             http_port: port of the page; 0 lets the system choose.
-            faults: faults to inject.
             initial_samples: samples counted since power-up.
 
         Raises:
@@ -235,7 +155,7 @@ class SimulatedNetFT:
         """
         self.configuration = configuration  #: Active configuration.
         self.client: tuple[str, int] | None = None  #: Receiver of the records; None before a request.
-        self._transducer, self._faults = transducer, faults or FaultInjector()
+        self._transducer = transducer
         self._udp = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         option, number = "--port", port
         try:
@@ -251,8 +171,6 @@ class SimulatedNetFT:
         self._lock = threading.RLock()
         self._ended = threading.Event()
         self._zero = monotonic() - initial_samples / SAMPLES_PER_SECOND
-        self._off_until = self._stalled_until = 0.0
-        self._frozen = 0
         self._motion_start: float | None = None
         self._request, self._next, self._rdt = Request(rdt.STOP), 0, 0
 
@@ -284,48 +202,8 @@ class SimulatedNetFT:
         self._http.server_close()
         self._udp.close()
 
-    # faults
-
-    def restart(self, seconds: float = FAULT_DURATION) -> None:
-        """Restart: the counter starts at one, client and bias are cleared."""
-        with self._lock:
-            self.client = None
-            self.configuration = replace(self.configuration, bias=self._transducer.bias(False))
-            self._off_until = monotonic() + seconds
-            self._zero = self._off_until
-            self._next = 0
-
-    def stall(self, seconds: float = FAULT_DURATION) -> None:
-        """Send the same sample repeatedly."""
-        with self._lock:
-            self._stalled_until, self._frozen = monotonic() + seconds, self._next - 1
-
-    def drop_client(self) -> None:
-        """Stop streaming to the client, as if another one had taken the stream."""
-        with self._lock:
-            self.client = None
-
-    def configure(self, **changes: object) -> None:
-        """Change the configuration."""
-        with self._lock:
-            self.configuration = replace(self.configuration, **changes)  # type: ignore[arg-type]  # any field
-
-    def saturate(self, on: bool = True) -> None:
-        """Set the transducer to its limit, or end that."""
-        with self._lock:
-            self._transducer.saturated = on
-
-    def send(self, datagram: bytes) -> None:
-        """Send any datagram to the client."""
-        with self._lock:
-            if self.client is not None:
-                self._udp.sendto(datagram, self.client)
-
-    # serving
-
-    def _page(self) -> bytes | None:
-        with self._lock:
-            return configuration_page(self.configuration) if monotonic() >= self._off_until else None
+    def _page(self) -> bytes:
+        return configuration_page(self.configuration)
 
     def _serve(self) -> None:
         while not self._ended.is_set():
@@ -334,7 +212,6 @@ class SimulatedNetFT:
                 if ready:
                     self._receive()
                 if self.client is not None:
-                    self._run_events()
                     self._stream()
 
     def _receive(self) -> None:
@@ -343,7 +220,7 @@ class SimulatedNetFT:
         except OSError:  # the system may report a closed client here
             return
         request = parse_request(datagram)
-        if request is None or monotonic() < self._off_until:
+        if request is None:
             return
         match request.command:
             case rdt.REALTIME | rdt.BUFFERED:
@@ -352,64 +229,40 @@ class SimulatedNetFT:
                 self._motion_start = self._motion_start or monotonic()
             case rdt.STOP:
                 self.client = None
-            case rdt.RESET_LATCH:
-                self._transducer.latched = False
             case rdt.BIAS:
-                self.configuration = replace(self.configuration, bias=self._transducer.bias(True))
+                self.configuration = replace(self.configuration, bias=self._transducer.bias())
 
     def _stream(self) -> None:
-        spacing = max(1, round(SAMPLES_PER_SECOND / self.configuration.rate))
         now = self._samples()
         self._next = max(self._next, now - MAX_BACKLOG)
-        size = int(self.configuration.records) if self._request.command == rdt.BUFFERED else 1
-        due = (now - self._next) // spacing // size * size
+        due = now - self._next
         if self._request.records:
             due = min(due, self._request.records - self._rdt)
         if due <= 0:
             return
-        records = self._records(self._next + spacing * np.arange(due), spacing).tobytes()
-        self._next += spacing * due
-        width = RECORDS.itemsize * size
-        for packet in self._faults.apply([records[i : i + width] for i in range(0, len(records), width)]):
-            with suppress(OSError):  # lost with full buffers or closed clients, as on a wire
-                self._udp.sendto(packet, self.client)  # type: ignore[arg-type]  # `_serve` streams to a client only
+        records = self._records(self._next + np.arange(due)).tobytes()
+        self._next += due
+        self._send([records[i : i + RECORDS.itemsize] for i in range(0, len(records), RECORDS.itemsize)])
         if self._request.records and self._rdt >= self._request.records:
             self.client = None
 
-    def _records(self, samples: NDArray[np.int64], spacing: int) -> NDArray[np.void]:
-        if monotonic() < self._stalled_until:
-            samples = np.full(len(samples), self._frozen)
+    def _send(self, packets: list[bytes]) -> None:
+        for packet in packets:
+            with suppress(OSError):  # lost with full buffers or closed clients, as on a wire
+                self._udp.sendto(packet, self.client)  # type: ignore[arg-type]  # `_serve` streams to a client only
+
+    def _records(self, samples: NDArray[np.int64]) -> NDArray[np.void]:
         start = self._motion_start - self._zero if self._motion_start else 0.0
         time = np.maximum(samples / SAMPLES_PER_SECOND - start, 0.0)
-        counts, status = self._transducer.read(time, spacing / SAMPLES_PER_SECOND, self.configuration)
         records = np.empty(len(samples), dtype=RECORDS)
         records["rdt"] = (self._rdt + 1 + np.arange(len(samples))) % 2**32
         records["ft"] = samples % 2**32
-        records["status"] = status
-        records["counts"] = counts
+        records["counts"], records["status"] = self._transducer.read(time, self.configuration)
         self._rdt += len(samples)
         return records
 
     def _samples(self) -> int:
         return int((monotonic() - self._zero) * SAMPLES_PER_SECOND)
-
-    def _run_events(self) -> None:
-        events = self._faults.events
-        while events and self._motion_start and self.motion_time >= events[0][0] and self.client is not None:
-            match events.pop(0)[1]:
-                case "stall":
-                    self.stall()
-                case "restart":
-                    self.restart()
-                case "stolen":
-                    self.drop_client()
-                case "units":
-                    self.configure(torque_unit="N-mm" if self.configuration.torque_unit == "N-m" else "N-m")
-                case "saturate":
-                    self.saturate()
-                    timer = threading.Timer(FAULT_DURATION, self.saturate, [False])
-                    timer.daemon = True
-                    timer.start()
 
 
 # cyclic motion of its base

@@ -1,10 +1,11 @@
-"""A simulated box, and a reader of it in a thread of its own, so that a test may disturb the box meanwhile.
+"""A simulated box with faults, and a reader of it in a thread of its own, so that a test may disturb the box meanwhile.
 
 Ports are chosen by the system. Waiting ends with what is waited for; the deadlines only keep a broken test short.
 """
 
 import threading
 import time
+from dataclasses import replace
 
 import numpy as np
 
@@ -16,11 +17,72 @@ from probedesign.simulation.netft_box import NATIVE, SimulatedNetFT, SimulatedTr
 LOAD = np.array([0.05, -0.02, 0.1, 2e-3, 1e-3, -5e-4])
 
 
-def box(estimator, settings=NATIVE, load=LOAD, **options) -> SimulatedNetFT:
-    def constant(when):
-        return np.tile(load, (len(when), 1))
+class FaultyBox(SimulatedNetFT):
+    """A box whose network loses, exchanges, doubles and cuts packets, and which stalls and restarts.
 
-    return SimulatedNetFT(SimulatedTransducer(estimator.model, constant, seed=1, drift=0.0), settings, **options)
+    Attributes:
+        load: wrench at the sensor, which a test may change.
+        disorder: probability of each fault of a packet.
+        status: bits that each status word has.
+    """
+
+    def __init__(self, model, settings, load, **options):
+        self.load, self.disorder, self.status = np.array(load), 0.0, 0
+        transducer = SimulatedTransducer(model, lambda when: np.tile(self.load, (len(when), 1)), seed=1, drift=0.0)
+        super().__init__(transducer, settings, **options)
+        self._luck, self._delayed = np.random.default_rng(1), []
+        self._off_until = self._stalled_until = 0.0
+
+    def restart(self, seconds):
+        """Its counter begins anew, and its client is forgotten."""
+        with self._lock:
+            self.client, self._next = None, 0
+            self._off_until = self._zero = time.monotonic() + seconds
+
+    def stall(self, seconds):
+        """The same sample is sent again and again."""
+        with self._lock:
+            self._stalled_until, self._frozen = time.monotonic() + seconds, self._next - 1
+
+    def drop_client(self):
+        """Another client takes the stream."""
+        with self._lock:
+            self.client = None
+
+    def configure(self, **changes):
+        self.configuration = replace(self.configuration, **changes)
+
+    def _page(self):
+        time.sleep(max(0.0, self._off_until - time.monotonic()))
+        return super()._page()
+
+    def _receive(self):
+        if time.monotonic() < self._off_until:
+            self._udp.recv(100)
+        else:
+            super()._receive()
+
+    def _records(self, samples):
+        stalled = time.monotonic() < self._stalled_until
+        records = super()._records(np.full(len(samples), self._frozen) if stalled else samples)
+        records["status"] |= self.status
+        return records
+
+    def _send(self, packets):
+        sent = []
+        for packet in packets if self.disorder else ():
+            loss, delay, double, garbage, short = (self._luck.random(5) < self.disorder).tolist()
+            if delay and not self._delayed:
+                self._delayed.append(packet)
+            elif not loss:
+                packet = packet[:20] if short else packet
+                sent += [bytes(17)] * garbage + [packet] * (1 + double) + self._delayed
+                self._delayed = []
+        super()._send(sent if self.disorder else packets)
+
+
+def box(estimator, settings=NATIVE, load=LOAD, **options) -> FaultyBox:
+    return FaultyBox(estimator.model, settings, load, **options)
 
 
 def until(happened, describe=lambda: "", seconds=10.0):

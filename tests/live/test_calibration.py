@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from probedesign.core.errors import InputError
-from probedesign.live.sources.daq import clipped, read_calibration
+from probedesign.live.sources.daq import read_calibration
 from tests.live.cal_file import U, text
 
 pytest.importorskip("defusedxml")
@@ -29,11 +29,6 @@ def test_both_versions_give_the_wrench_about_the_tool_face(read, version):
     assert np.allclose((volts - zero) @ calibration.matrix.T, wrench, rtol=1e-12, atol=1e-14)
     assert calibration.ranges.tolist() == [25, 25, 35, 0.25, 0.25, 0.25]
     assert (calibration.serial, calibration.part) == ("FT1", "SI-25-0.25")
-
-
-def test_a_gauge_beyond_the_amplifier_is_no_reading():
-    assert not clipped(np.full(6, 9.8)).any()
-    assert np.flatnonzero(clipped(np.array([0.0, 0.0, -9.81, 0.0, 0.0, np.nan]))).tolist() == [2, 5]
 
 
 @pytest.mark.parametrize(

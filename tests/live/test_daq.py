@@ -82,12 +82,6 @@ def test_all_that_waits_is_taken_at_once_but_not_without_end(estimator, cal, dri
     assert len(blocks(opened(estimator, cal), 1)[0]) == 700  # a tenth of a second
 
 
-def test_the_zero_of_the_gauges_is_subtracted_if_given(estimator, cal, driver):
-    zero = "&zero_V=" + ",".join(str(v) for v in VOLTS)
-    readings = iter_readings(blocks(opened(estimator, cal, zero), 2))
-    assert all(np.abs(r.wrench_sensor).max() < 1e-12 for r in readings)
-
-
 def test_a_clipped_gauge_is_a_fault_of_its_samples_alone(estimator, cal, driver):
     def clips(index):
         volts = steady(index)
@@ -175,8 +169,6 @@ def test_no_nidaqmx_is_one_line_with_its_remedy(estimator, cal, monkeypatch):
         ("daq://Dev7/ai0:5?cal={cal}", "no card Dev7; available are Dev1, Dev2"),
         ("daq://Dev1/ai0:5?cal={cal}&rate=7", "did you mean rate_hz?"),
         ("daq://Dev1/ai0:5?cal={cal}&rate_hz=0", "rate_hz = '0' must be a number"),
-        ("daq://Dev1/ai0:5?cal={cal}&zero_V=1,2,3", "must be 6 voltages within 9.8 V"),
-        ("daq://Dev1/ai0:5?cal={cal}&zero_V=1,2,3,4,5,nan", "must be 6 voltages within 9.8 V"),
     ],
 )
 def test_what_is_no_card(estimator, cal, driver, spec, expected):

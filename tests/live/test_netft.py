@@ -16,33 +16,55 @@ import pytest
 from probedesign.cli.main import run
 from probedesign.core.errors import InputError
 from probedesign.live.sources import netft_rdt as rdt
-from probedesign.live.sources.netft import RdtSession
-from probedesign.live.sources.netft_rdt import RECORD, RECORDS, Request, SequenceMonitor
+from probedesign.live.sources.netft import RdtSession, buffer_note
+from probedesign.live.sources.netft_configuration import parse_configuration
+from probedesign.live.sources.netft_rdt import RECORD, Request, SequenceMonitor
 from probedesign.live.sources.source import open_source
-from probedesign.simulation.netft_box import NATIVE, OFFSET, SimulatedNetFT, SimulatedTransducer, configuration_page
+from probedesign.simulation import scenes
+from probedesign.simulation.netft_box import (
+    CYCLE_DWELL_TIME,
+    MOVE_TIME,
+    NATIVE,
+    OFFSET,
+    PRESS_TIME,
+    REST_TIME,
+    BaseMotion,
+    SimulatedNetFT,
+    SimulatedTransducer,
+    configuration_page,
+)
+from probedesign.simulation.scenes import press_scene
 from tests.live.peers import LOAD, box, close, mean_of, taken, until
 
 # units and frames
 
 
-@pytest.mark.parametrize(
-    "settings",
-    [
-        {},
-        {"torque_unit": "N-m"},
-        {"torque_unit": "Nmm", "counts_per_torque": 64000.0},
-        {"force_unit": "lbf", "torque_unit": "lbf-in"},
-        {"tool": (3.0, -4.0, 25.0, 30.0, -20.0, 70.0)},
-        {"tool": (0.5, 0.0, 1.0, 0.5, 0.0, 0.0), "length_unit": "in", "angle_unit": "radians"},
-    ],
-)
-def test_the_box_is_read_in_si_and_in_the_sensor_frame_for_any_units(estimator, settings):
+TURNED = {"tool": (0.5, 0.0, 1.0, 0.5, 0.4, 0.0), "length_unit": "in", "angle_unit": "radians",
+          "force_unit": "lbf", "torque_unit": "lbf-in", "counts_per_torque": 64000.0}  # fmt: skip
+
+
+@pytest.mark.parametrize("settings", [{}, TURNED])
+def test_the_box_is_read_in_si_and_in_the_sensor_frame(estimator, settings):
     with box(estimator, replace(NATIVE, **settings)) as peer:
-        readings, source = taken(peer, estimator, 700)
+        readings, source = taken(peer, estimator, 200)
     off = np.abs(mean_of(readings) - LOAD - OFFSET)
     rounding = np.abs(source.configuration.to_sensor).sum(axis=1)  # one count of every channel
-    assert (off <= close(estimator, 700) + rounding).all()
-    assert any("compensated" in note for note in source.notes) == ("tool" in settings)
+    assert (off <= close(estimator, 200) + rounding).all()
+    assert any("compensated" in note for note in source.notes) == bool(settings)
+
+
+@pytest.mark.parametrize(
+    ("settings", "force", "moment"),
+    [
+        ({"torque_unit": "N-m"}, 1.0, 1.0),
+        ({"torque_unit": "Nmm"}, 1.0, 1e-3),
+        ({"force_unit": "lbf", "torque_unit": "lbf-in"}, 4.4482216152605, 0.1129848290276167),
+    ],
+)
+def test_counts_are_multiples_of_the_units_on_the_page(settings, force, moment):
+    configuration = parse_configuration(configuration_page(replace(NATIVE, **settings, counts_per_torque=64000.0)))
+    expected = np.repeat([force / 1e6, moment / 64000.0], 3)
+    assert np.diag(configuration.to_sensor) == pytest.approx(expected, rel=1e-12)
 
 
 def test_the_transform_turns_about_x_then_the_new_y_then_the_new_z():
@@ -81,51 +103,38 @@ def test_pynetft_reads_the_same_from_our_box(estimator):
 # the wire, by hand
 
 
-@pytest.fixture
-def asked(estimator):
-
-    def asked(peer: SimulatedNetFT, command: int, records: int, packets: int) -> list[bytes]:
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp:
-            udp.settimeout(5.0)
-            udp.sendto(Request(command, records).packed(), peer.address)
-            return [udp.recv(65536) for _ in range(packets)]
-
-    return asked
+def ask(peer: SimulatedNetFT, command: int, records: int) -> list[bytes]:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp:
+        udp.settimeout(5.0)
+        udp.sendto(Request(command, records).packed(), peer.address)
+        return [udp.recv(65536) for _ in range(records)]
 
 
-def test_a_number_of_records_is_sent_at_the_output_rate_and_no_more(estimator, asked):
-    with box(estimator, replace(NATIVE, rate=1000.0)) as peer:
-        records = [RECORD.unpack(d) for d in asked(peer, rdt.REALTIME, 5, 5)]
+def test_a_number_of_records_is_sent_and_no_more(estimator):
+    with box(estimator) as peer:
+        records = [RECORD.unpack(d) for d in ask(peer, rdt.REALTIME, 5)]
         until(lambda: peer.client is None)  # cleared shortly after the last record is sent
     assert [record[0] for record in records] == [1, 2, 3, 4, 5]
-    assert set(np.diff([record[1] for record in records])) == {7}
+    assert set(np.diff([record[1] for record in records])) == {1}
 
 
-def test_buffered_packets_hold_their_records(estimator, asked):
-    with box(estimator, replace(NATIVE, records=40.0)) as peer:
-        datagrams = asked(peer, rdt.BUFFERED, 0, 3)
-    records = np.frombuffer(b"".join(datagrams), dtype=RECORDS)
-    assert {len(d) for d in datagrams} == {40 * 36}
-    assert records["rdt"].tolist() == list(range(1, 121))
-
-
-def test_bias_makes_zero_and_shows_on_the_page(estimator, asked):
+def test_bias_makes_zero_and_shows_on_the_page(estimator):
     with box(estimator) as peer:
-        asked(peer, rdt.REALTIME, 70, 70)
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp:
-            udp.sendto(Request(rdt.BIAS).packed(), peer.address)
-            until(lambda: any(peer.configuration.bias))
-        readings, source = taken(peer, estimator, 700)
+        ask(peer, rdt.BUFFERED, 70)
+        ask(peer, rdt.BIAS, 0)
+        until(lambda: any(peer.configuration.bias))
+        readings, source = taken(peer, estimator, 200)
     assert (np.abs(mean_of(readings)) < 3.0 * close(estimator, 7)).all()  # the bias is the mean of one packet's samples
     assert any("software bias" in note for note in source.notes)
 
 
-@pytest.mark.parametrize("datagram", [b"", b"\x12", b"\x43\x21\0\2\0\0\0\0", b"\x12\x34\0\2\0\0\0\0x"])
-def test_what_is_no_request_is_not_answered(estimator, datagram):
+def test_what_is_no_request_is_not_answered(estimator):
     with box(estimator) as peer, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp:
-        udp.sendto(datagram, peer.address)
-        udp.settimeout(0.2)
-        with pytest.raises(TimeoutError):
+        for datagram in (b"", b"\x12", b"\x43\x21\0\2\0\0\0\0", b"\x12\x34\0\2\0\0\0\0x"):
+            udp.sendto(datagram, peer.address)
+        assert len(ask(peer, rdt.REALTIME, 1)) == 1  # requests are read in order
+        udp.setblocking(False)
+        with pytest.raises(BlockingIOError):
             udp.recv(100)
 
 
@@ -138,7 +147,6 @@ def test_what_is_no_request_is_not_answered(estimator, datagram):
         (b"not xml", "not valid or safe XML"),
         (b'<!DOCTYPE a [<!ENTITY b "c">]><a>&b;</a>', "not valid or safe XML"),
         (b"<netft><scfgfu>N</scfgfu></netft>", "has no scfgtu, cfgcpf, cfgcpt"),
-        (b"x" * 100_000, "too long"),
         ({"scfgtu": "N-furlong"}, "scfgtu = 'N-furlong' is not a known unit"),
         ({"scfgfu": ""}, "is not a known unit"),
         ({"cfgcpf": "0"}, "cfgcpf = 0 must be positive"),
@@ -148,14 +156,13 @@ def test_what_is_no_request_is_not_answered(estimator, datagram):
         ({"cfgtfx": "1;2;3;4;5;six"}, "is not a number"),
     ],
 )
-def test_an_invalid_page_is_refused(estimator, monkeypatch, page, expected):
+def test_an_invalid_page_is_refused(page, expected):
     """Other bytes, or the page of a box with another value of a tag."""
     if isinstance(page, dict):
         ((tag, value),) = page.items()
         page = re.sub(rf"<{tag}>.*</{tag}>".encode(), f"<{tag}>{value}</{tag}>".encode(), configuration_page(NATIVE))
-    monkeypatch.setattr("probedesign.simulation.netft_box.configuration_page", lambda configuration: page)
-    with box(estimator) as peer, pytest.raises(InputError) as error:
-        open_source(peer.source, estimator.model)
+    with pytest.raises(InputError) as error:
+        parse_configuration(page)
     assert expected in str(error.value)
 
 
@@ -170,69 +177,52 @@ def test_a_port_in_use_is_reported(estimator):
 # the commands
 
 
-def test_simulate_and_live_meet(bundle, estimator, capsys, monkeypatch):
+@pytest.fixture(scope="module")
+def motions(estimator):
+    """By friction: a base that presses an edge."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(scenes.SCENES, "edges", scenes.SCENES["edges"][:1])
+        return {mu: BaseMotion(estimator.model, press_scene(estimator.model, "edges", mu)) for mu in (0.0, 0.5)}
+
+
+def test_simulate_and_live_meet(bundle, estimator, motions, capsys, monkeypatch):
     """The whole way: a scene of the rod, over the wire, tared and located, also where tests keep the machine busy."""
     monkeypatch.setattr("probedesign.live.processing.chain.MAX_AGE", 10.0)
-    from probedesign.simulation.netft_box import BaseMotion
-    from probedesign.simulation.scenes import press_scene
-
-    things = press_scene(estimator.model, "edges", friction=0.0)[2:]
-    motion = BaseMotion(estimator.model, things)
+    motion = motions[0.0]
 
     def hurried(when):  # ten times as fast: the rest is over after half a second
         return motion.wrench_sensor(10.0 * when)
 
     with SimulatedNetFT(SimulatedTransducer(estimator.model, hurried, seed=1, drift=0.0)) as peer:
         arguments = ["live", str(bundle), "--source", peer.source, "--tare-s", "0:0.3", "--average", "36"]
-        # The wall clock ends the run too: on a busy machine the first 1.5 s of readings take longer.
-        status = run([*arguments, "--seconds", "6", "--rate-hz", "100", "--json"])
+        status = run([*arguments, "--count", "75", "--rate-hz", "100", "--json"])  # 0.75 s after the tare
     out, err = capsys.readouterr()
     rows = [json.loads(line) for line in out.splitlines()]
-    located = [row for row in rows if row["result"] == "ok" and row["time_s"] - rows[0]["time_s"] < 1.2]
+    located = [row for row in rows if row["result"] == "ok"]
     assert status == 0 and "records" in err and "tare from" in err
     assert len(located) > 5
     s = np.median([row["s_contact_mm"] for row in located])
-    assert s == pytest.approx(1e3 * things[0].s_contact, abs=3.0 * located[0]["std_s_mm"])
+    assert s == pytest.approx(1e3 * motion.objects[0].s_contact, abs=3.0 * located[0]["std_s_mm"])
 
 
-@pytest.mark.parametrize("friction", [0.0, 0.5])
-def test_a_scene_of_cards_is_pressed_and_left_again(estimator, friction):
-    from probedesign.simulation.netft_box import MOVE_TIME, PRESS_TIME, REST_TIME, BaseMotion
-    from probedesign.simulation.scenes import press_scene
-
-    model = estimator.model
-    things = press_scene(model, "card-house", friction)
-    motion = BaseMotion(model, things)
-    free = model.to_sensor(model.rod.solve(model.gravity_base).wrench_base, model.gravity_base)
-    rest, located = motion.wrench_sensor(np.array([1.0, REST_TIME + MOVE_TIME + PRESS_TIME + 0.5]))
-    assert np.allclose(rest, free, atol=1e-6)
-    assert np.linalg.norm((located - free)[:3]) == pytest.approx(things[0].force, rel=1e-3)
-    assert all(thing.force > 1e-3 for thing in things)
-    after = motion.wrench_sensor(np.array([motion.cycle_time + 1.0]))
-    assert np.allclose(after, free, atol=1e-6)
-
-
-def test_with_friction_the_way_off_an_object_is_not_the_way_onto_it(estimator):
+def test_objects_are_pressed_and_left_again_with_friction_on_another_way(estimator, motions):
     """The tangential force turns round while the base turns round; without friction both ways are one."""
-    from probedesign.simulation.netft_box import CYCLE_DWELL_TIME, MOVE_TIME, PRESS_TIME, REST_TIME, BaseMotion
-    from probedesign.simulation.scenes import press_scene
-
     model, before = estimator.model, np.array([0.03, 0.06])  # pressed still: the edge is left after 0.13 s
+    free = model.to_sensor(model.rod.solve(model.gravity_base).wrench_base, model.gravity_base)
     begun = REST_TIME + MOVE_TIME + PRESS_TIME
-    for friction in (0.0, 0.5):
-        things = press_scene(model, "edges", friction)[:1]
-        motion = BaseMotion(model, things)
+    for friction, motion in motions.items():
+        first, length = motion.objects[0], motion.cycle_time
+        rest, pressed, left, again = motion.wrench_sensor(np.array([1.0, begun + 0.5, length - 0.01, length + 1.0]))
+        assert all(np.allclose(each, free, atol=1e-6) for each in (rest, left, again))
+        assert np.linalg.norm((pressed - free)[:3]) == pytest.approx(first.force, rel=1e-3) and first.force > 1e-3
         on, off = (motion.wrench_sensor(begun - before), motion.wrench_sensor(begun + CYCLE_DWELL_TIME + before))
         apart = np.abs(on - off).max(axis=1)
         assert (apart > 1e-3).all() if friction else (apart < 1e-9).all()
-        free = model.to_sensor(model.rod.solve(model.gravity_base).wrench_base, model.gravity_base)
-        assert np.allclose(motion.wrench_sensor(np.array([motion.cycle_time - 0.01])), free, atol=1e-6)
 
 
-def test_friction_differs_from_object_to_object_and_repeats_with_its_seed(estimator):
-    from probedesign.simulation.scenes import press_scene
-
-    drawn = [[thing.friction for thing in press_scene(estimator.model, "points", 0.5, 0.2, seed)] for seed in (1, 1, 2)]
+def test_friction_differs_from_object_to_object_and_repeats_with_its_seed(estimator, monkeypatch):
+    monkeypatch.setattr(scenes, "_pressed", lambda model, free, thing, solver: solver.friction)
+    drawn = [press_scene(estimator.model, "points", 0.5, 0.2, seed) for seed in (1, 1, 2)]
     assert drawn[0] == drawn[1] != drawn[2] and len(set(drawn[0])) == 3
 
 
@@ -240,19 +230,13 @@ def test_friction_differs_from_object_to_object_and_repeats_with_its_seed(estima
     ("options", "expected"),
     [
         (["--friction", "-0.1"], "--friction -0.1 must lie in 0 ... 3"),
-        (["--rate-hz", "6000"], "must be 7000 divided by a whole number"),
-        (["--records", "41"], "must lie in 1 ... 40"),
         (["--scene", "castle"], "--scene castle is unknown; available are edges"),
-        *(
-            (["--fault", text], f"--fault '{text}' must be one of")
-            for text in ("loss", "loss=2", "loss@1", "restart=1", "noise=0.1", "loss=-1", "loss=nan")
-        ),
-        (["--torque-unit", "N-furlong"], "is not a known unit"),
+        (["--seconds", "0"], "--seconds 0.0 must be positive"),
         (["--host", "203.0.113.1", "--scene", "free"], "203.0.113.1:49152: "),
     ],
 )
 def test_simulate_refuses(bundle, capsys, options, expected):
-    assert run(["simulate", str(bundle), "--seconds", "0.1", *options]) == 2
+    assert run(["simulate", str(bundle), *options]) == 2
     out, err = capsys.readouterr()
     assert expected in err and err.count("\n") == 1 and out == ""
 
@@ -276,17 +260,17 @@ def accepted(records, cut=0):
 @pytest.mark.parametrize(
     ("records", "new", "counted"),
     [
-        # three is lost, four is late and six comes twice
-        ([(i, 100 + i) for i in (1, 2, 5, 6, 6, 4, 4, 7)], [1, 1, 1, 1, 0, 0, 0, 1], (1, 1, 2)),
-        ([(n % 2**32, n % 2**32) for n in range(2**32 - 2, 2**32 + 2)], [1] * 4, (0, 0, 0)),  # the numbers overflow
-        ([(500, 9000), (501, 9001), (1, 9100), (2, 9101)], [1] * 4, (0, 0, 0)),  # counted from one again
-        ([(1, 7), (2, 8), (3, 8), (4, 8), (5, 9)], [1, 1, 0, 0, 1], (0, 0, 0)),  # the box runs on without its sensor
+        # three is lost, four comes late and then again, and six comes twice
+        ([(i, 100 + i) for i in (1, 2, 5, 6, 6, 4, 4, 7)], [1, 1, 1, 1, 0, 0, 0, 1], (2, 3)),
+        ([(n % 2**32, n % 2**32) for n in range(2**32 - 2, 2**32 + 2)], [1] * 4, (0, 0)),  # the numbers overflow
+        ([(500, 9000), (501, 9001), (1, 9100), (2, 9101)], [1] * 4, (0, 0)),  # counted from one again
+        ([(1, 7), (2, 8), (3, 8), (4, 8), (5, 9)], [1, 1, 0, 0, 1], (0, 0)),  # the box runs on without its sensor
     ],
 )
-def test_lost_late_doubled_and_repeated_records_are_told_apart(records, new, counted, cut):
+def test_lost_late_and_repeated_records_are_told_apart(records, new, counted, cut):
     accepted_records, counts = accepted(records, cut)
     assert accepted_records == list(map(bool, new))
-    assert (counts["lost"], counts["late"], counts["doubled"]) == counted
+    assert (counts["lost"], counts["late"]) == counted
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="the system states the arrival on Linux")
@@ -302,18 +286,15 @@ def test_the_arrival_does_not_depend_on_how_late_records_are_read():
             for i in range(3):
                 peer.sendto(RECORD.pack(1 + i, 7 + i, 0, *[0] * 6), client)
             after = time.monotonic()
-            time.sleep(0.1)
+            time.sleep(0.02)
             received = next(batch for batch in records if batch is not None).received
     # the wall clock, by which the system states it, is steered by less than a millisecond in this time
-    assert (received >= before - 1e-3).all() and (received <= after + 1e-3).all()
+    assert (received >= before - 1e-3).all() and (received <= after + 1e-3).all() and after < time.monotonic() - 0.02
     assert (np.diff(received) >= 0.0).all()
 
 
-@pytest.mark.parametrize(("granted", "noted"), [(212_992, 1), (8 << 20, 0)])
-def test_a_small_buffer_of_the_system_is_noted(granted, noted):
-    session = RdtSession("netft://box", "127.0.0.1", 49152)
-    session.buffer_bytes = granted
-    assert len(session.notes) == noted
+def test_a_small_buffer_of_the_system_is_noted():
+    assert "30 ms of records" in " ".join(buffer_note(162_000)) and not buffer_note(8 << 20)
 
 
 def test_as_many_readings_as_are_expected_come_together(estimator):
@@ -322,6 +303,6 @@ def test_as_many_readings_as_are_expected_come_together(estimator):
         source = open_source(peer.source, estimator.model)
         source.expect(36)
         with closing(iter(source)) as stream:
-            blocks = [next(stream) for _ in range(30)]
+            blocks = [next(stream) for _ in range(15)]
     sizes = [len(block) for block in blocks if len(block)]
     assert np.median(sizes) >= 36

@@ -69,14 +69,14 @@ def test_slow_poses_are_bridged_as_far_as_their_speed_allows():
     """At 20 Hz with scatter of the interval: to 0.5 mm for a base that starts or stops, a quarter of its travel."""
     times = np.cumsum(np.random.default_rng(1).uniform(0.045, 0.058, 60))
     for speed, bridged in ((0.02, True), (0.2, False)):
-        track = PoseTrack.of([TimedPose(t, (speed * t, 0, 0), (0, 0, 0, 1)) for t in times], slow=True)
+        track = PoseTrack.of([TimedPose(t, (speed * t, 0, 0), (0, 0, 0, 1)) for t in times])
         inside = [track.at(t) is not None for t in 0.5 * (times[12:] + times[11:-1])]
         assert all(inside) == bridged and any(inside)  # intervals of up to 50 ms are always bridged
     turning = [TimedPose(t, (0, 0, 0), (np.sin(t), 0, 0, np.cos(t))) for t in times]  # 2 rad/s: 0.2 m/s at the lever
-    track = PoseTrack.of(turning, slow=True)
+    track = PoseTrack.of(turning)
     assert not all(track.at(t) is not None for t in 0.5 * (times[12:] + times[11:-1]))
     fast = [TimedPose(t, (0, 0, 0), (0, 0, 0, 1)) for t in (*np.arange(0.0, 1.0, 0.008), 1.1)]
-    assert PoseTrack.of(fast, slow=True).at(1.05) is None  # poses are missing there
+    assert PoseTrack.of(fast).at(1.05) is None  # poses are missing there
 
 
 def test_poses_that_lag_by_more_than_their_period_are_named_once():
@@ -196,7 +196,7 @@ def test_what_names_no_poses(spec, options, stated):
 
 @pytest.fixture
 def listener():
-    listener = listen("udp://127.0.0.1:0", {})
+    listener = listen("udp://127.0.0.1:0")
     yield listener
     listener.close()
 

@@ -99,9 +99,10 @@ def test_what_is_no_topic(estimator, spec):
         open_source(spec, estimator.model)
 
 
-def test_without_rclpy_the_remedy_is_named(estimator):
-    with pytest.raises(InputError, match="cannot import rclpy"):
-        open_source(f"ros2://wrench?python={sys.executable}", estimator.model)
+def test_without_rclpy_the_remedy_is_named(estimator, monkeypatch):
+    monkeypatch.setattr("probedesign.live.sources.ros2.SYSTEM_PYTHONS", ("none",))
+    with pytest.raises(InputError, match="none cannot import rclpy; source the set-up file of ROS 2"):
+        open_source("ros2://wrench", estimator.model)
 
 
 def test_poses_of_tf(ros2):

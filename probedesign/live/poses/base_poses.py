@@ -112,16 +112,17 @@ MAX_POSES = 20_000  #: Maximum number of poses kept of a stream: 20 s of a fast 
 class PoseTrack:
     """Poses of the base by one clock, with interpolation between them; never extrapolated."""
 
-    max_gap: float = MAX_GAP  #: maximum interval between neighbours that are interpolated [s].
+    #: maximum interval between neighbours that are interpolated [s]; None: `MAX_GAP`, and more for slower poses as far
+    #: as their speed allows it.
+    max_gap: float | None = None
     max_poses: float = math.inf  #: maximum number of poses that are kept.
     _poses: list[TimedPose] = field(default_factory=list, repr=False)
     _times: list[float] = field(default_factory=list, repr=False)
-    slow: bool = False  #: whether slower poses are interpolated too, as far as their speed allows it.
 
     @classmethod
-    def of(cls, poses: Iterable[TimedPose], max_gap: float = MAX_GAP, slow: bool = False) -> "PoseTrack":
+    def of(cls, poses: Iterable[TimedPose], max_gap: float | None = None) -> "PoseTrack":
         """Return the track of the poses; a pose that is not later than the one before is dropped."""
-        track = cls(max_gap, slow=slow)
+        track = cls(max_gap)
         for each in poses:
             track.add(each)
         return track
@@ -164,14 +165,14 @@ class PoseTrack:
         return interpolate_pose(self._poses[i - 1], self._poses[i], time)
 
     def usual(self, i: int) -> float:
-        """Return the usual interval of the poses up to one [s], later ones being unknown; 0 if there are too few."""
+        """Return the usual interval of the poses up to one [s], as later ones are unknown; 0 if there are too few."""
         near = self._times[max(i - 2 * MIN_INTERVALS, 0) : i + 1]
         return float(np.median(np.diff(near))) if len(near) > MIN_INTERVALS else 0.0
 
     def _bridged(self, i: int) -> bool:
         gap = self._times[i] - self._times[i - 1]
-        if gap <= self.max_gap or not self.slow:
-            return gap <= self.max_gap
+        if self.max_gap is not None or gap <= MAX_GAP:
+            return gap <= (self.max_gap or MAX_GAP)
         a, b = self._poses[i - 1], self._poses[i]
         cosine = abs(sum(x * y for x, y in zip(_normalized(a.q), _normalized(b.q), strict=True)))
         travel = math.dist(a.p, b.p) + LEVER * 2.0 * math.acos(min(cosine, 1.0))
@@ -187,8 +188,8 @@ class PoseTrack:
         if i == len(self._times):
             return f"the last pose is {time - self._times[-1]:.3g} s older"
         gap = self._times[i] - self._times[i - 1]
-        fast = " at this speed" if self.slow else ""
-        return f"the neighbouring poses are {gap:.3g} s apart, more than {self.max_gap:g} s{fast}"
+        limit = f"{MAX_GAP:g} s at this speed" if self.max_gap is None else f"{self.max_gap:g} s"
+        return f"the neighbouring poses are {gap:.3g} s apart, more than {limit}"
 
 
 class TransformTree:
@@ -326,24 +327,22 @@ class BasePoses:
         poses: list[TimedPose] | PoseStream,
         *,
         latency: float = 0.0,
-        max_gap: float = MAX_GAP,
+        max_gap: float | None = None,
         gravity_world: Array | None = None,
         notes: tuple[str, ...] = (),
         log: Log = lambda line: None,
-        slow: bool = False,
     ) -> None:
         """Start with all poses by the wrench's clock, or with a listener that receives them.
 
-        `max_gap` [s] and `slow` are those of `PoseTrack`; gravity is 9.81 m/s² along -z if it is None.
+        `max_gap` [s] is that of `PoseTrack`; gravity is 9.81 m/s² along -z if it is None.
         """
         self.title, self.notes, self.latency = title, notes, latency
         self.gravity_world = np.array(GRAVITY_WORLD if gravity_world is None else gravity_world, dtype=float)
         self._log = log
         self._listener = None if isinstance(poses, list) else poses
-        if isinstance(poses, list):
-            self.track = PoseTrack.of((self._delayed(pose, -latency) for pose in poses), max_gap, slow)
-        else:
-            self.track = PoseTrack(max_gap, MAX_POSES, slow=slow)
+        self.track = PoseTrack(max_gap, math.inf if self._listener is None else MAX_POSES)
+        for each in poses if isinstance(poses, list) else ():
+            self.track.add(self._delayed(each, -latency))
         self._wrench, self._robot = ClockOffset(), ClockOffset()
         self._session = 0
         self._delays, self._lag_reported = deque[float](maxlen=LAG_POSES), False
@@ -394,8 +393,10 @@ class BasePoses:
         """Return whether the pose after a time may still arrive, with the newest reading at `newest` [s]."""
         if self._listener is None or self.track.end >= time:
             return False
-        usual = self.track.usual(len(self.track)) if self.track.slow else 0.0
-        return newest - time < max(POSE_WAIT * self.track.max_gap, MAX_PERIODS * min(usual, MAX_SLOW_GAP))
+        if self.track.max_gap is not None:
+            return newest - time < POSE_WAIT * self.track.max_gap
+        usual = self.track.usual(len(self.track))
+        return newest - time < max(POSE_WAIT * MAX_GAP, MAX_PERIODS * min(usual, MAX_SLOW_GAP))
 
     def reason(self, time: float) -> str:
         """Return why there is no pose at a time."""

@@ -8,7 +8,7 @@ import numpy as np
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
 from probedesign.live import Log
-from probedesign.live.poses.base_poses import MAX_GAP, BasePoses, PoseStream
+from probedesign.live.poses.base_poses import MAX_GAP, BasePoses, PoseStream, TimedPose
 from probedesign.live.poses.pose_sources import POSE_STREAMS, read_pose_file
 from probedesign.live.sources.rosbag import is_bag_path, read_bag_poses
 from probedesign.live.sources.source import SourceParameter, parse_parameters
@@ -46,20 +46,17 @@ def open_poses(
     stream = POSE_STREAMS.get(scheme) if ":" in target else None
     in_bag = stream is None and is_bag_path(path)
     limit = {"limit_ms": SourceParameter(1e3 * MAX_GAP, 1.0, 60_000.0)}
-    topics = dict.fromkeys(("topic", "world", "base") if in_bag else stream[2] if stream else (), ())
+    topics = dict.fromkeys(("topic", "world", "base"), ()) if in_bag else {}
     numbers, texts = parse_parameters(f"--pose {target}", query, limit, topics)
-    max_gap = 1e-3 * numbers["limit_ms"]
+    poses: PoseStream | list[TimedPose]
     if stream is not None:
-        poses: PoseStream = resolve_name(stream[1])(target, texts)
-        return BasePoses(
-            poses.title, poses, latency=latency, max_gap=max_gap, gravity_world=gravity, notes=poses.notes, log=log,
-            slow="limit_ms" not in query,
-        )  # fmt: skip
-    known = read_bag_poses(path, **texts) if in_bag else read_pose_file(path)
-    title = f"{len(known)} poses of {path}, {known[0].time:.9g} ... {known[-1].time:.9g} s"
-    return BasePoses(
-        title, known, latency=latency, max_gap=max_gap, gravity_world=gravity, log=log, slow="limit_ms" not in query
-    )
+        poses = listener = resolve_name(stream[1])(target)
+        title, notes = listener.title, listener.notes
+    else:
+        poses = known = read_bag_poses(path, **texts) if in_bag else read_pose_file(path)
+        title, notes = f"{len(known)} poses of {path}, {known[0].time:.9g} ... {known[-1].time:.9g} s", ()
+    max_gap = 1e-3 * numbers["limit_ms"] if "limit_ms" in query else None
+    return BasePoses(title, poses, latency=latency, max_gap=max_gap, gravity_world=gravity, notes=notes, log=log)
 
 
 def parse_gravity(text: str | None) -> Array | None:

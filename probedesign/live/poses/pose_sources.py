@@ -77,8 +77,8 @@ def _named(header: list[str], row: list[str]) -> dict[str, Any]:
     return dict(zip(header, row, strict=True))
 
 
-def listen(target: str, parameters: Mapping[str, str]) -> Listener[TimedPose]:
-    """Listen for poses on `udp://[HOST]:PORT`, one JSON or MessagePack object per datagram; there are no parameters.
+def listen(target: str) -> Listener[TimedPose]:
+    """Listen for poses on `udp://[HOST]:PORT`, one JSON or MessagePack object per datagram.
 
     Raises:
         InputError: the port is in use, or the address does not belong to this machine.
@@ -89,11 +89,10 @@ def listen(target: str, parameters: Mapping[str, str]) -> Listener[TimedPose]:
     return listener
 
 
-#: By scheme: an example, module and name of the function that opens the `PoseStream` from target and parameters, and
-#: the names of these parameters.
+#: By scheme: an example, and module and name of the function that opens the `PoseStream` from its target.
 POSE_STREAMS = {
-    "udp": ("udp://:PORT", "probedesign.live.poses.pose_sources:listen", ()),
-    "tf": ("tf://WORLD/BASE", "probedesign.live.sources.ros2:open_tf", ("python",)),
-    "ur": ("ur://HOST", "probedesign.live.poses.robots:open_ur", ()),
-    "franka": ("franka://HOST", "probedesign.live.poses.robots:open_franka", ()),
+    "udp": ("udp://:PORT", "probedesign.live.poses.pose_sources:listen"),
+    "tf": ("tf://WORLD/BASE", "probedesign.live.sources.ros2:open_tf"),
+    "ur": ("ur://HOST", "probedesign.live.poses.robots:open_ur"),
+    "franka": ("franka://HOST", "probedesign.live.poses.robots:open_franka"),
 }

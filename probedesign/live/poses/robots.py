@@ -8,7 +8,7 @@ Source: the docstrings of ur_rtde 1.6.5 and franky-control 2.0.0. Neither has be
 
 import threading
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import suppress
 from time import monotonic, sleep
 
@@ -116,7 +116,7 @@ def _host(target: str, scheme: str) -> str:
     return host
 
 
-def open_ur(target: str, parameters: Mapping[str, str]) -> RobotPoses:
+def open_ur(target: str) -> RobotPoses:
     """Open `ur://HOST`: the actual pose of the tool centre point by RTDE, with the controller's time.
 
     Raises:
@@ -150,7 +150,7 @@ def open_ur(target: str, parameters: Mapping[str, str]) -> RobotPoses:
     return RobotPoses(f"ur://{host}", connect)
 
 
-def open_franka(target: str, parameters: Mapping[str, str]) -> RobotPoses:
+def open_franka(target: str) -> RobotPoses:
     """Open `franka://HOST`: the measured pose of the end effector by FCI, with the robot's time.
 
     One program can use the FCI of a robot: this one cannot read it while another one moves it.

@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from probedesign.core import csv_tables
-from probedesign.core.csv_tables import CEILING, WRENCH, Column, CsvLines, Frame
+from probedesign.core.csv_tables import WRENCH, Column, CsvLines, Frame
 from probedesign.core.errors import InputError, one_line, quoted
+from probedesign.core.files import write_atomically
 from probedesign.core.frames import Array
 from probedesign.live.blocks import Block
 from probedesign.live.outputs.sinks import Sink
@@ -41,10 +42,8 @@ class Recording:
     wrench: Array  #: wrenches [N, N·m], (n, 6), about the origin and in the axes of `frame`.
     frame: Frame = "sensor"  #: "sensor" or "base".
     gravity_base: Array | None = None  #: gravity vector in base axes [m/s²], (n, 3), if the file contains it.
-    gaps: int = 0  #: number of intervals longer than 1.5 median intervals.
-    missing_samples: int = 0  #: number of samples missing in the gaps.
-    dropped_lines: int = 0  #: number of dropped lines: an incomplete line at the end.
-    notes: tuple[str, ...] = ()  #: notes for the user about the above, one line each.
+    notes: tuple[str, ...] = ()  #: notes for the user, one line each.
+    damage: tuple[str, ...] = ()  #: what is missing in it, one line each: samples in gaps, an incomplete last line.
     faults: tuple[str, ...] = ()  #: fault of each reading, (n,), empty if none; empty if the file has no such column.
 
 
@@ -62,58 +61,45 @@ def read_recording(path: str | Path) -> Recording:
         problem = f"columns are missing: {', '.join(absent)}; the header must be like {CSV_HEADER}"
         table.fail(table.header_number, problem)
     columns = [known[quantity] for quantity in wanted]
-    rows, notes = _whole_rows(table, columns)
-    if not rows:
-        raise InputError(f"{path}: no samples, only a header")
+    rows, notes, damage = table.rows, list[str](), list[str]()
+    read = {column.index for column in columns}
     index = next((i for i, name in enumerate(table.header) if name.strip().casefold() == FAULT), None)
-    faults = () if index is None else tuple(one_line(row.split(",")[index], 200) for row in rows)
-    values = _numeric_columns(table, rows, columns, faults)
-    gravity = values[:, 7:] if values.shape[1] > 7 else None
-    gaps, missing = gaps_in(values[:, 0])
-    if gaps:
-        notes += (f"{missing} samples are missing in {gaps} gaps",)
-    dropped = len(table.rows) - len(rows)
-    return Recording(
-        values[:, 0], values[:, 1:7], table.frame or "sensor", gravity, gaps, missing, dropped, notes, faults
-    )
-
-
-def _whole_rows(table: CsvLines, columns: list[Column]) -> tuple[list[str], tuple[str, ...]]:
-    """Return the rows without an incomplete last line, and notes; every row has the right number of fields."""
-    rows, notes = table.rows, []
-    ignored = [
-        quoted(name)
-        for i, name in enumerate(table.header)
-        if i not in {c.index for c in columns} and name.strip().casefold() != FAULT
-    ]
-    if ignored:
+    if ignored := [quoted(name) for i, name in enumerate(table.header) if i not in {*read, index}]:
         notes.append(f"columns not read: {', '.join(ignored)[:200]}")
     if rows and not table.ends_whole:
         last = f"line {table.numbers[-1]}"
-        if _is_cut(rows[-1], table, columns):
+        if _is_cut(rows[-1], table, read):
             rows = rows[:-1]
-            notes.append(f"{last} is incomplete at the end: dropped")
+            damage.append(f"{last} is incomplete at the end: dropped")
         else:
             notes.append(f"{last} does not end in a newline: kept, but its last number may be truncated")
     commas = len(table.header) - 1
     for row, number in zip(rows, table.numbers, strict=False):
         if row.count(",") != commas:
             table.fail(number, f"the row has {row.count(',') + 1} values where the header names {commas + 1}")
-    return rows, tuple(notes)
+    if not rows:
+        raise InputError(f"{path}: no samples, only a header")
+    faults = () if index is None else tuple(one_line(row.split(",")[index], 200) for row in rows)
+    values = _numeric_columns(table, rows, columns, faults)
+    gaps, missing = gaps_in(values[:, 0])
+    if gaps:
+        damage.append(f"{missing} samples are missing in {gaps} gaps")
+    gravity = values[:, 7:] if values.shape[1] > 7 else None
+    return Recording(
+        values[:, 0], values[:, 1:7], table.frame or "sensor", gravity, tuple(notes), tuple(damage), faults
+    )
 
 
-def _is_cut(row: str, table: CsvLines, columns: list[Column]) -> bool:
-    """Return whether a last line without newline has too few fields or ends in part of a number."""
+def _is_cut(row: str, table: CsvLines, read: set[int]) -> bool:
+    """Return whether a last line without newline has too few fields or ends in part of a number that is read."""
     fields = row.split(",")
-    if len(fields) < len(table.header):
-        return True
-    if len(table.header) - 1 not in {column.index for column in columns}:
+    if len(fields) >= len(table.header) and len(table.header) - 1 not in read:
         return False
     try:
         float(fields[-1])
     except ValueError:
         return True
-    return False
+    return len(fields) < len(table.header)
 
 
 def _numeric_columns(table: CsvLines, rows: list[str], columns: list[Column], faults: tuple[str, ...]) -> Array:
@@ -151,22 +137,6 @@ def _numeric_columns(table: CsvLines, rows: list[str], columns: list[Column], fa
     return values
 
 
-def check_wrenches(path: Path, time: Array, wrench: Array) -> None:
-    """Refuse wrenches [N, N·m], (n, 6), beyond the range of any sensor.
-
-    Raises:
-        InputError: a force or a moment is too large or not a number; the message has its time.
-    """
-    ceiling = np.repeat([CEILING["force"], CEILING["moment"]], 3)
-    invalid = ~(np.abs(wrench) <= ceiling)
-    if invalid.any():
-        i, j = np.argwhere(invalid)[0]
-        value = f"{WRENCH[j].capitalize()} = {wrench[i, j]:g} {'N' if j < 3 else 'N·m'}"
-        raise InputError(
-            f"{path}: {value} at {time[i]:.9g} s exceeds the range of any sensor; raw counts or a wrong unit?"
-        )
-
-
 def gaps_in(time: Array) -> tuple[int, int]:
     """Return the number of gaps in times [s], (n,), and the number of samples missing in them."""
     steps = np.diff(time)
@@ -198,15 +168,8 @@ def write_recording(
     rows = np.hstack([np.reshape(values, (-1, width)) for values, width in ((time, 1), (wrench, 6), (gravity_base, 3))
                       if values is not None]).astype(float)  # fmt: skip
     header = CSV_HEADER if gravity_base is None else f"{CSV_HEADER},{GRAVITY_HEADER}"
-    file = AppendFile(Path(path), force=True)
-    try:
-        file.write(f"# frame: {frame}\n{header}\n".encode())
-        file.write("".join(",".join(map(repr, row)) + "\n" for row in rows.tolist()).encode())
-        file.flush()
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written: {error.strerror}") from None
-    finally:
-        file.close()
+    lines = [f"# frame: {frame}", header, *(",".join(map(repr, row)) for row in rows.tolist()), ""]
+    write_atomically(Path(path), "\n".join(lines).encode(), durable=False)
 
 
 class CsvRecorder(Sink):

@@ -9,12 +9,12 @@ import struct
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from probedesign.core.errors import require
+from probedesign.core.errors import one_line, require
 from probedesign.core.frames import Array
 from probedesign.estimation.estimate import RESULTS
 
@@ -177,58 +177,31 @@ def transform(parent: str, child: str, stamp: int, p: Sequence[float], q: Sequen
     return np.frombuffer(message, f"V{len(message)}")
 
 
-def read_stamped(data: bytes | memoryview, doubles: int) -> tuple[int, str, tuple[float, ...]]:
-    """Return time stamp [ns], frame and doubles of a message with a header.
+def decode(data: bytes | memoryview, name: str) -> Any:
+    """Return the message of a type from its bytes.
 
     Raises:
         ValueError: the bytes are not such a message.
     """
-    order = _order(data)
     try:
-        second, rest, length = struct.unpack_from(f"{order}iII", data, 4)
-        start = 16 + length + -(12 + length) % 8
-        values = struct.unpack_from(f"{order}{doubles}d", data, start)
-    except struct.error:
-        raise ValueError(f"{len(data)} bytes are too short") from None
-    return second * 1_000_000_000 + rest, _string(data[16 : 16 + length]), values
+        return type_store().deserialize_cdr(bytes(data), name)
+    except Exception as error:  # rosbags may raise anything on invalid bytes
+        raise ValueError(one_line(str(error), 120) or type(error).__name__) from None
 
 
 def read_wrenches(messages: Sequence[bytes | memoryview]) -> Array:
-    """Return the wrenches of messages, (n, 6), without headers; messages of one writer are decoded at once.
+    """Return the wrenches of our own messages, (n, 6), without headers, all decoded at once.
 
     Raises:
-        ValueError: the bytes of one are not such a message.
+        ValueError: they are not messages of one length, as this program writes them.
     """
-    if messages and len({(len(each), bytes(each[:4]), bytes(each[12:16])) for each in messages}) == 1:
-        first = messages[0]
-        length = int.from_bytes(first[12:16], "little")  # of the frame's name
-        if bytes(first[:4]) == CDR_LITTLE_ENDIAN and len(first) >= 16 and length < len(first):
-            dtype = _message_dtype(length, 6)
-            if dtype.itemsize == len(first):
-                return np.frombuffer(b"".join(messages), dtype)["values"]
-    return np.array([read_stamped(each, 6)[2] for each in messages]).reshape(-1, 6)
-
-
-def read_text(data: bytes | memoryview) -> str:
-    """Return the text of a string message.
-
-    Raises:
-        ValueError: the bytes are not such a message.
-    """
-    order = _order(data)
-    if len(data) < 8 or len(data) < 8 + (length := struct.unpack_from(f"{order}I", data, 4)[0]):
-        raise ValueError(f"{len(data)} bytes are too short")
-    return _string(data[8 : 8 + length])
-
-
-def _order(data: bytes | memoryview) -> str:
-    if len(data) < 4 or data[0] != 0 or data[1] not in (0, 1):
-        raise ValueError("not a CDR message")
-    return "<" if data[1] else ">"
-
-
-def _string(data: bytes | memoryview) -> str:
-    return bytes(data).rstrip(b"\0").decode("utf-8", errors="replace")
+    if not messages:
+        return np.empty((0, 6))
+    ((length, start, name), *others) = {(len(each), bytes(each[:4]), bytes(each[12:16])) for each in messages}
+    frame = int.from_bytes(name, "little")
+    if others or start != CDR_LITTLE_ENDIAN or frame > length or _message_dtype(frame, 6).itemsize != length:
+        raise ValueError("its wrenches are not those of one writer")
+    return np.frombuffer(b"".join(messages), _message_dtype(frame, 6))["values"]
 
 
 METADATA_NAME = "probedesign"  #: Name of the metadata record of our recordings.

@@ -18,7 +18,6 @@ from typing import TYPE_CHECKING
 from xml.etree.ElementTree import Element
 
 import numpy as np
-from numpy.typing import NDArray
 
 from probedesign.core.errors import InputError, MissingDependencyError
 from probedesign.core.frames import Array
@@ -48,11 +47,6 @@ class GaugeCalibration:
     part: str  #: name of the calibration, as SI-12-0.12.
     matrix: Array  #: wrench [N, N·m] per gauge voltage, about the centre of the tool face, (6, 6).
     ranges: Array  #: range of each channel [N, N·m], (6,).
-
-
-def clipped(volts: Array) -> NDArray[np.bool_]:
-    """Return which gauges are clipped by the amplifier or not finite, in the shape of `volts`."""
-    return ~(np.abs(volts) <= MAX_GAUGE_VOLTS)
 
 
 def read_calibration(path: Path) -> GaugeCalibration:
@@ -161,7 +155,7 @@ class DaqSource:
         Args:
             model: probe on the sensor.
             target: `//DEVICE/ai0:5`, or six inputs separated by commas.
-            query: cal, zero_V, and the parameters of `PARAMETERS`; a card may only approximate the rate.
+            query: cal, and the parameters of `PARAMETERS`; a card may only approximate the rate.
             log: callback for messages.
 
         Raises:
@@ -170,18 +164,11 @@ class DaqSource:
         """
         if not target.startswith("//"):
             raise InputError(f"daq:{target}: write daq://Dev1/ai0:5?cal=FILE")
-        numbers, texts = parse_parameters("daq:", query, PARAMETERS, {"cal": (), "zero_V": ()})
+        numbers, texts = parse_parameters("daq:", query, PARAMETERS, {"cal": ()})
         if not texts["cal"]:
             raise InputError(f"daq:{target}: needs its sensor's calibration; write daq:{target}?cal=FT12345.cal")
         self._calibration = read_calibration(Path(texts["cal"]))
-        try:
-            volts = np.array([float(part) for part in (texts["zero_V"] or "0,0,0,0,0,0").split(",")])
-        except ValueError:
-            volts = np.full(GAUGES, np.nan)
-        if volts.shape != (GAUGES,) or clipped(volts).any():
-            raise InputError(f"daq: zero_V = {texts['zero_V'][:60]!r} must be {GAUGES} voltages within "
-                             f"{MAX_GAUGE_VOLTS:g} V, with commas")  # fmt: skip
-        self._zero, self._rate, self._channels = volts, numbers["rate_hz"], target.removeprefix("//")
+        self._rate, self._channels = numbers["rate_hz"], target.removeprefix("//")
         pattern = re.compile(r"\s*([^/,:\s]+)/ai(\d{1,4})(?::(?:ai)?(\d{1,4}))?\s*")
         parts = [match.groups() for part in self._channels.split(",") if (match := pattern.fullmatch(part))]
         count = sum(abs(int(last or first) - int(first)) + 1 for _, first, last in parts)
@@ -273,8 +260,8 @@ class DaqSource:
 
     def _blocks(self, volts: Array, time: Array, received: Array, stretch: int) -> Generator[Block, None, None]:
         """Yield samples as wrenches, split where their fault changes."""
-        wrench = (volts - self._zero) @ self._calibration.matrix.T
-        invalid = np.hstack([clipped(volts), ~(np.abs(wrench) <= self._calibration.ranges)])
+        wrench = volts @ self._calibration.matrix.T
+        invalid = ~np.hstack([np.abs(volts) <= MAX_GAUGE_VOLTS, np.abs(wrench) <= self._calibration.ranges])
         cuts = np.flatnonzero((invalid[1:] != invalid[:-1]).any(axis=1)) + 1
         for start, end in pairwise([0, *cuts.tolist(), len(time)]):
             part, fault = slice(start, end), ""

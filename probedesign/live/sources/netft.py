@@ -204,6 +204,17 @@ BYTES_PER_RECORD = 768
 MIN_BUFFERED_TIME = 0.25
 
 
+def buffer_note(granted: int) -> tuple[str, ...]:
+    """Return a note if the system granted a buffer [bytes] that is shorter than the pauses of a busy computer."""
+    buffered = granted / BYTES_PER_RECORD / SAMPLES_PER_SECOND
+    if buffered >= MIN_BUFFERED_TIME:
+        return ()
+    return (
+        f"the system grants a buffer of {1e3 * buffered:.0f} ms of records; longer pauses of this computer lose "
+        f"records. On Linux: sysctl -w net.core.rmem_max={BUFFER_BYTES}",
+    )
+
+
 @dataclass(frozen=True)
 class RdtRecords:
     """n records of the box, in the order of arrival."""
@@ -229,7 +240,7 @@ class RdtSession:
 
     Attributes:
         wanted: number of records that are used together.
-        counts: number of records received, lost, late, doubled, malformed, and dropped by the socket's buffer.
+        counts: number of records received, lost, late, malformed, and dropped by the socket's buffer.
         buffer_bytes: size of the socket's buffer that the system granted [bytes].
     """
 
@@ -254,17 +265,6 @@ class RdtSession:
         self.buffer_bytes = link.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF)
         self._link, self._receiver = link, open_receiver(link)
         self._newest, self._delays = 0, deque[float](maxlen=WINDOW)
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """A note if the system granted a buffer that is shorter than the pauses of a busy computer."""
-        buffered = self.buffer_bytes / BYTES_PER_RECORD / SAMPLES_PER_SECOND
-        if buffered >= MIN_BUFFERED_TIME:
-            return ()
-        return (
-            f"the system grants a buffer of {1e3 * buffered:.0f} ms of records; longer pauses of this computer lose "
-            f"records. On Linux: sysctl -w net.core.rmem_max={BUFFER_BYTES}",
-        )
 
     def records(self) -> Generator[RdtRecords | None, None, None]:
         """Yield new records as they arrive; None after each `STALE_TIME` without one."""
@@ -326,9 +326,8 @@ REPORT_INTERVAL = 10.0  #: Minimum interval between reports of losses [s].
 
 #: Texts of the counters, in the order of the summary.
 COUNTERS = {
-    "lost": "lost", "late": "late and rejected", "doubled": "duplicated", "malformed": "malformed",
-    "faults": "with a fault", "dropped": "lost because this computer read too slowly", "interruptions": "interruptions",
-    "restarts": "restarts",
+    "lost": "lost", "late": "late or duplicated", "malformed": "malformed", "faults": "with a fault",
+    "dropped": "lost because this computer read too slowly", "interruptions": "interruptions", "restarts": "restarts",
 }  # fmt: skip
 REPORTED = ("lost", "dropped", "malformed")  #: Counters that are reported while they increase.
 
@@ -350,8 +349,7 @@ class NetFTSource:
     """A box at an address; see `Source`.
 
     Attributes:
-        counts: number of records received, lost, late, doubled, malformed, with a fault, dropped by the queue;
-            interruptions and restarts. Updated every second.
+        counts: number of records with each of `COUNTERS`, and received, updated every second.
     """
 
     def __init__(self, model: ProbeModel, target: str, query: str, log: Log) -> None:
@@ -379,7 +377,7 @@ class NetFTSource:
             self.notes += range_note("box", ranges, model)
         axia = "axia" in self.configuration.product.lower()  # assumed: the manual does not list the names
         self._table = STATUS_TABLES[texts["sensor"] or ("axia" if axia else "netbox")]
-        self.notes += self._session.notes
+        self.notes += buffer_note(self._session.buffer_bytes)
         rate = parameters["clock_hz"]
         self._clock, self._rate = SensorClock(rate), RateMonitor(rate)
         self._dropout = DropoutMonitor(self._name, log, NO_RECORD)

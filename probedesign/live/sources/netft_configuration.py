@@ -24,6 +24,7 @@ from probedesign.core.units import ANGLE_UNITS, FORCE_UNITS, LENGTH_UNITS, TORQU
 from probedesign.live.sources.netft_rdt import PAGE
 
 MAX_TEXT = 128  # of one value
+FILE = PAGE.removeprefix("/")
 
 
 @dataclass(frozen=True)
@@ -35,23 +36,21 @@ class NetFTConfiguration:
     torque_unit: str  #: unit of torque [scfgtu].
     counts_per_force: float  #: counts per force unit [cfgcpf].
     counts_per_torque: float  #: counts per torque unit [cfgcpt].
-    name: str = ""  #: name of the configuration [cfgnam].
     ranges: tuple[float, ...] = ()  #: range of each channel, in those units [cfgmr].
     tool: tuple[float, ...] = (0.0,) * 6  #: displacement and rotation of the reported frame [cfgtfx].
     length_unit: str = "mm"  #: unit of the displacement [scfgtdu].
     angle_unit: str = "degrees"  #: unit of the rotation [scfgtau].
     rate: float = 7000.0  #: records per second [comrdtrate].
-    records: float = 1.0  #: records per packet of buffered streaming [comrdtbsiz].
     filter: float = 0.0  #: number of the low-pass filter, 0 for none [setuserfilter].
     bias: tuple[float, ...] = (0.0,) * 6  #: gauge counts that the box subtracts [setbias].
 
     def __post_init__(self) -> None:
         for tag, value in (("cfgcpf", self.counts_per_force), ("cfgcpt", self.counts_per_torque)):
             if not value > 0.0:
-                raise InputError(f"netftapi2.xml: {tag} = {value:g} must be positive")
+                raise InputError(f"{FILE}: {tag} = {value:g} must be positive")
         for tag, six in (("cfgtfx", self.tool), ("setbias", self.bias)):
             if len(six) != 6:
-                raise InputError(f"netftapi2.xml: {tag} has {len(six)} numbers instead of 6")
+                raise InputError(f"{FILE}: {tag} has {len(six)} numbers instead of 6")
         _ = self.to_sensor  # raises for an unknown unit
 
     @property
@@ -98,14 +97,11 @@ class NetFTConfiguration:
 
 #: Tags of the page, by attribute name.
 TAGS = {
-    "product": "prodname", "name": "cfgnam", "force_unit": "scfgfu", "torque_unit": "scfgtu",
-    "counts_per_force": "cfgcpf", "counts_per_torque": "cfgcpt", "ranges": "cfgmr", "tool": "cfgtfx",
-    "length_unit": "scfgtdu", "angle_unit": "scfgtau", "rate": "comrdtrate", "records": "comrdtbsiz",
-    "filter": "setuserfilter", "bias": "setbias",
+    "product": "prodname", "force_unit": "scfgfu", "torque_unit": "scfgtu", "counts_per_force": "cfgcpf",
+    "counts_per_torque": "cfgcpt", "ranges": "cfgmr", "tool": "cfgtfx", "length_unit": "scfgtdu",
+    "angle_unit": "scfgtau", "rate": "comrdtrate", "filter": "setuserfilter", "bias": "setbias",
 }  # fmt: skip
 REQUIRED_TAGS = ("scfgfu", "scfgtu", "cfgcpf", "cfgcpt")
-ARRAYS = ("ranges", "tool", "bias")
-TEXT_FIELDS = ("product", "name", "force_unit", "torque_unit", "length_unit", "angle_unit")
 
 
 def parse_configuration(page: bytes) -> NetFTConfiguration:
@@ -116,23 +112,41 @@ def parse_configuration(page: bytes) -> NetFTConfiguration:
         MissingDependencyError: defusedxml is not installed.
     """
     texts: dict[str, str] = {}
-    for element in parse_xml(page, "netftapi2.xml").iter():
+    for element in parse_xml(page, FILE).iter():
         if element.tag in TAGS.values():
             text = (element.text or "").strip()
             if element.tag in texts or len(element) or len(text) > MAX_TEXT:
-                raise InputError(f"netftapi2.xml: {element.tag} must occur once, as a short text")
+                raise InputError(f"{FILE}: {element.tag} must occur once, as a short text")
             texts[element.tag] = text
     missing = [tag for tag in REQUIRED_TAGS if tag not in texts]
     if missing:
-        raise InputError(f"netftapi2.xml: has no {', '.join(missing)}; is this a Net F/T box?")
-    values = {name: _value(name, tag, texts[tag]) for name, tag in TAGS.items() if tag in texts}
+        raise InputError(f"{FILE}: has no {', '.join(missing)}; is this a Net F/T box?")
+    values = {f.name: _value(f.type, tag, texts[tag])
+              for f in fields(NetFTConfiguration) if (tag := TAGS[f.name]) in texts}  # fmt: skip
     return NetFTConfiguration(**{"product": "Net F/T box"} | values)  # type: ignore[arg-type]  # the types are those of _value
+
+
+def _value(kind: object, tag: str, text: str) -> str | float | tuple[float, ...]:
+    if kind is str:
+        return " ".join("".join(c if c.isprintable() else " " for c in text).split())
+    parts = [text] if kind is float else [part for part in re.split(r"[;,\s]+", text) if part]
+    try:
+        values = tuple(float(part) for part in parts)
+    except ValueError:
+        values = (math.nan,)
+    if not all(map(math.isfinite, values)):
+        raise InputError(f"{FILE}: {tag} = {text[:40]!r} is not a number")
+    return values[0] if kind is float else values
 
 
 def differences(before: NetFTConfiguration, after: NetFTConfiguration) -> list[str]:
     """Return the changes between two configurations, each as `tag: before, now after`."""
-    pairs = [(TAGS[f.name], getattr(before, f.name), getattr(after, f.name)) for f in fields(before)]
-    return [f"{tag}: {_text(old)}, now {_text(new)}" for tag, old, new in pairs if old != new]
+
+    def text(value: object) -> str:
+        return "; ".join(f"{v:g}" for v in value) if isinstance(value, tuple) else str(value)
+
+    pairs = [(tag, getattr(before, name), getattr(after, name)) for name, tag in TAGS.items()]
+    return [f"{tag}: {text(old)}, now {text(new)}" for tag, old, new in pairs if old != new]
 
 
 def parse_xml(content: bytes, file: str | Path) -> Element:
@@ -154,23 +168,6 @@ def parse_xml(content: bytes, file: str | Path) -> Element:
     return root
 
 
-def _value(name: str, tag: str, text: str) -> str | float | tuple[float, ...]:
-    if name in TEXT_FIELDS:
-        return " ".join("".join(c if c.isprintable() else " " for c in text).split())
-    parts = [part for part in re.split(r"[;,\s]+", text) if part] if name in ARRAYS else [text]
-    try:
-        values = tuple(float(part) for part in parts)
-    except ValueError:
-        values = (math.nan,)
-    if not all(map(math.isfinite, values)):
-        raise InputError(f"netftapi2.xml: {tag} = {text[:40]!r} is not a number")
-    return values if name in ARRAYS else values[0]
-
-
-def _text(value: object) -> str:
-    return "; ".join(f"{v:g}" for v in value) if isinstance(value, tuple) else str(value)
-
-
 MAX_PAGE_BYTES = 65536  #: Maximum size of the page [bytes]; about ten thousand are usual.
 PAGE_TIMEOUT = 2.0  #: Maximum time to fetch the page [s].
 
@@ -184,24 +181,21 @@ def fetch_page(host: str, port: int, timeout: float = PAGE_TIMEOUT) -> bytes:
     address = f"http://{host}:{port}{PAGE}"
     connection = HTTPConnection(host, port, timeout=timeout)
     late = threading.Event()
-    deadline = threading.Timer(timeout, late.set)
 
-    def give_up(link: socket.socket) -> None:  # whoever waits for the connection continues
+    def give_up() -> None:  # a timeout of the socket alone limits each byte, not all of them
         late.set()
         with suppress(OSError):  # it may just have been closed
             link.shutdown(socket.SHUT_RDWR)
 
+    deadline = threading.Timer(timeout, give_up)
+    deadline.daemon = True
     try:
         connection.connect()
-        # a timeout of the socket alone limits each byte, not all of them; http.client limits the size of the headers
-        deadline = threading.Timer(timeout, give_up, (connection.sock,))
-        deadline.daemon = True
+        link = connection.sock
         deadline.start()
         connection.request("GET", PAGE, headers={"Connection": "close"})
-        response = connection.getresponse()
-        page = b""
-        while len(page) <= MAX_PAGE_BYTES and (chunk := response.read1(MAX_PAGE_BYTES + 1 - len(page))):
-            page += chunk
+        response = connection.getresponse()  # whose headers are limited by http.client
+        page = response.read(MAX_PAGE_BYTES + 1)
     except (OSError, HTTPException, UnicodeError, ValueError) as error:
         why = getattr(error, "strerror", None) or str(error) or type(error).__name__
         why = f"no complete response within {timeout:g} s" if late.is_set() else one_line(why)

@@ -23,9 +23,8 @@ PAGE = "/netftapi2.xml"
 #: Sampling rate of the box, independent of the record rate, counted by `ft_sequence`. The record rate is an integer
 #: fraction of it.
 SAMPLES_PER_SECOND = 7000
-MAX_RECORDS = 40  #: Maximum number of records in a packet of buffered streaming.
 
-STOP, REALTIME, BUFFERED, RESET_LATCH, BIAS = 0x0000, 0x0002, 0x0003, 0x0041, 0x0042  #: Commands to the box.
+STOP, REALTIME, BUFFERED, BIAS = 0x0000, 0x0002, 0x0003, 0x0042  #: Commands to the box.
 
 HEADER = 0x1234
 REQUEST = struct.Struct(">HHI")
@@ -53,11 +52,7 @@ def parse_request(datagram: bytes) -> Request | None:
     return Request(command, count) if header == HEADER else None
 
 
-#: The second value: a monitor condition has been latched, which is not a fault of the sample.
-HEALTHY = (0x00000000, 0x80010000)
-
 SUMMARY, LATCHED, SATURATED = 1 << 31, 1 << 16, 1 << 17
-HARMLESS = (*HEALTHY, LATCHED)
 
 
 class StatusTable(NamedTuple):
@@ -80,7 +75,7 @@ NET_BOX = StatusTable(
         7: "artificial ground out of range", 6: "supply too high", 5: "supply too low",
         4: "no data from the transducer", 3: "reference voltage or power", 2: "temperature", 1: "HTTP failure",
     },
-    HARMLESS,
+    (0, LATCHED, SUMMARY | LATCHED),  # a monitor condition has been latched, which is not a fault of the sample
 )  # fmt: skip
 #: Bit 3 is no error by the manual, but readings are not reliable meanwhile.
 AXIA = StatusTable(
@@ -105,26 +100,23 @@ def fault_of(status: int, table: StatusTable = NET_BOX) -> str:
 
 WRAP = 1 << 32  #: Both counters have 32 bits.
 MAX_TICKS = 1 << 30  #: Largest step of a counter that is surely forward; a larger one is examined.
-MAX_MISSING = 4096  #: Maximum number of lost records that are remembered, to recognise them if they arrive late.
 
 
 class SequenceMonitor:
-    """Counts lost, late and doubled records by `rdt_sequence`, and selects those that are new.
+    """Counts lost records, and late or duplicated ones, by `rdt_sequence`, and selects those that are new.
 
-    A record is late if it was counted as lost before, and doubled if it was not. A stream that is counted from one
-    again, with samples that are newer, is another stream.
+    A record that arrives late counts as lost too, because it is rejected. A stream that is counted from one again, with
+    samples that are newer, is another stream.
     """
 
     def __init__(self, counts: Counter[str]) -> None:
         """Start before the first record; `counts` is updated."""
         self._counts = counts
         self._last: tuple[int, int] | None = None
-        self._missing: dict[int, None] = {}
 
     def restart(self) -> None:
         """Accept the next record, whatever its number."""
         self._last = None
-        self._missing.clear()
 
     def accept(self, rdt: NDArray[np.int64], ft: NDArray[np.int64]) -> NDArray[np.bool_] | None:
         """Return which of n records are new by their numbers, (n,); None if all are.
@@ -140,23 +132,11 @@ class SequenceMonitor:
         return np.array([self._is_new(*pair) for pair in zip(rdt.tolist(), ft.tolist(), strict=True)])
 
     def _is_new(self, rdt: int, ft: int) -> bool:
-        if self._last is None:
-            self._last = rdt, ft
-            return True
-        step, newer = _signed(rdt - self._last[0]), _signed(ft - self._last[1])
+        step, newer = (_signed(a - b) for a, b in zip((rdt, ft), self._last or (rdt - 1, ft - 1), strict=True))
         if step <= 0 and newer <= 0:
-            late = rdt in self._missing
-            self._counts["late" if late else "doubled"] += 1
-            if late:
-                del self._missing[rdt]
-                self._counts["lost"] -= 1
+            self._counts["late"] += 1
             return False
-        if step > 1:
-            self._counts["lost"] += step - 1
-            for number in range(max(1, step - MAX_MISSING), step):
-                self._missing[(self._last[0] + number) % WRAP] = None
-            while len(self._missing) > MAX_MISSING:
-                del self._missing[next(iter(self._missing))]
+        self._counts["lost"] += max(step - 1, 0)
         self._last = rdt, ft
         return newer != 0
 

@@ -4,9 +4,7 @@ Our own MCAP recordings reproduce the readings of the original source, their tim
 Other ROS 2 bags and CSV are read too.
 """
 
-import csv
 import json
-import re
 from collections.abc import Callable, Generator, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from itertools import islice, pairwise
@@ -15,33 +13,24 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from probedesign.core.csv_tables import Frame
-from probedesign.core.csv_tables import read_text as read_table
+from probedesign.core.csv_tables import CEILING, WRENCH, Frame
 from probedesign.core.errors import InputError, one_line, quoted
 from probedesign.core.files import check_regular
 from probedesign.core.frames import Array
-from probedesign.core.units import FORCE_UNITS, MM, TORQUE_UNITS, unit_of
+from probedesign.core.units import MM
 from probedesign.estimation.model import ProbeModel
 from probedesign.frozen_probe import freeze
 from probedesign.live import Log
 from probedesign.live.blocks import Block, WrenchReading
-from probedesign.live.recordings.csv import Recording, check_wrenches, gaps_in, read_recording
-from probedesign.live.recordings.schemas import (
-    BLOCK,
-    METADATA_NAME,
-    RAW,
-    WRENCH,
-    Message,
-    read_text,
-    read_wrenches,
-    ros_name,
-)
+from probedesign.live.recordings import schemas
+from probedesign.live.recordings.csv import Recording, read_recording
+from probedesign.live.recordings.schemas import BLOCK, METADATA_NAME, RAW, Message, decode, read_wrenches, ros_name
 from probedesign.live.sources import rosbag
-from probedesign.live.sources.netft_rdt import SAMPLES_PER_SECOND, WRAP, fault_of
-from probedesign.live.sources.rosbag import BLOCK_SIZE, Bag
+from probedesign.live.sources.rosbag import Bag
 from probedesign.live.sources.source import SPEED, SourceParameter, parse_parameters, played
 
 MomentUnit = Literal["Nm", "Nmm"]
+BLOCK_SIZE = 256  #: Readings per block: few enough for a short delay, enough for efficiency.
 
 
 @dataclass(frozen=True)
@@ -85,10 +74,10 @@ def open_recording(path: Path, model: ProbeModel, options: RecordingOptions | No
     if not rosbag.is_bag(path):
         if options.topic:
             raise InputError(f"{path}: has no topic {options.topic!r}: it is not a ROS 2 bag")
-        recording = read_ati_demo(path) if is_ati_demo(path) else read_recording(path)
-        damage = recording.notes if recording.gaps or recording.dropped_lines else ()
-        return OpenRecording(path, f"{len(recording.time)} readings", recording.frame, recording.notes,
-                        lambda: _table_blocks(recording, model), lambda: damage)  # fmt: skip
+        recording = read_recording(path)
+        notes, description = recording.notes + recording.damage, f"{len(recording.time)} readings"
+        return OpenRecording(path, description, recording.frame, notes,
+                             lambda: _table_blocks(recording, model), lambda: recording.damage)  # fmt: skip
     bag = rosbag.open_bag(path)
     if METADATA_NAME in bag.metadata and not options.topic:
         return _open_native(bag, model, options)
@@ -111,19 +100,18 @@ def check_readable(path: Path) -> None:
 
 def _table_blocks(recording: Recording, model: ProbeModel) -> Iterator[Block]:
     """Yield the samples of a table; a block has one gravity vector and one fault or none."""
-    n = len(recording.time)
-    gravity = recording.gravity_base
-    notes = np.zeros((n, 3)) if gravity is None else gravity
-    turns = np.flatnonzero((np.diff(notes, axis=0) != 0).any(axis=1)) + 1
-    faults = recording.faults or ("",) * n
-    turns = np.concatenate([turns, [i for i in range(1, n) if faults[i] != faults[i - 1]]]).astype(int)
-    cuts = np.unique(np.concatenate([turns, np.arange(0, n, BLOCK_SIZE), [n]])).tolist()
+    n, gravity = len(recording.time), recording.gravity_base
+    faults = np.array(recording.faults or ("",) * n)
+    turns = faults[1:] != faults[:-1]
+    if gravity is not None:
+        turns |= (gravity[1:] != gravity[:-1]).any(axis=1)
+    cuts = np.unique([*range(0, n, BLOCK_SIZE), *np.flatnonzero(turns) + 1, n]).tolist()
     for start, end in pairwise(cuts):
         here = model.gravity_base if gravity is None else gravity[start]
         wrench = recording.wrench[start:end]
         if recording.frame == "base":  # one by one: the product of many rows rounds differently
             wrench = np.array([model.to_sensor(row, here) for row in wrench])
-        yield Block(recording.time[start:end], wrench, here, np.full(end - start, np.nan), faults[start])
+        yield Block(recording.time[start:end], wrench, here, np.full(end - start, np.nan), str(faults[start]))
 
 
 def _open_native(bag: Bag, model: ProbeModel, options: RecordingOptions) -> OpenRecording:
@@ -142,80 +130,80 @@ def _open_native(bag: Bag, model: ProbeModel, options: RecordingOptions) -> Open
             raise InputError(f"{bag.path}: {notes[0]}; use its own frozen probe, or allow it with other_probe")
     elif probe.get("checksum") != freeze(model)["checksum"]:
         notes += ("recorded with another frozen version of this probe (material, sensor): estimates may differ",)
-    metadata = bag.metadata[METADATA_NAME]
     dropped = [0]
 
     def missing() -> tuple[str, ...]:
-        lines = []
-        if dropped[0]:
-            why = "lie in damaged parts" if bag.damage else "were dropped by the recorder: the disk was too slow"
-            lines.append(f"{dropped[0]} readings {why}")
-        if bag.damage:
-            lines.append(f"incomplete: {bag.damage}")
-        return tuple(lines)
+        why = "lie in damaged parts" if bag.damage else "were dropped by the recorder: the disk was too slow"
+        lost = (f"{dropped[0]} readings {why}",) if dropped[0] else ()
+        return (*lost, f"incomplete: {bag.damage}") if bag.damage else lost
 
+    metadata = bag.metadata[METADATA_NAME]
     source = one_line(metadata.get("source", ""))
     description = f"recorded {one_line(metadata.get('started', ''))} from {source}"
-    return OpenRecording(
-        bag.path,
-        description,
-        "sensor",
-        notes,
-        lambda: _checked(bag.path, _native_blocks(bag, raw, states, dropped)),
-        missing,
-        source,
-    )
+    return OpenRecording(bag.path, description, "sensor", notes,
+                         lambda: _checked(bag.path, _native_blocks(bag, raw, states, dropped)),
+                         missing, source)  # fmt: skip
 
 
 def _open_foreign(bag: Bag, model: ProbeModel, options: RecordingOptions) -> OpenRecording:
-    channel = rosbag.select_channel(bag, {WRENCH}, options.topic)
+    channel = rosbag.select_channel(bag, {schemas.WRENCH}, options.topic)
     topic = f"topic {one_line(channel.topic)}"
-    first = list(islice(bag.messages({channel.topic}), BLOCK_SIZE))
+    first = [_read_wrench(bag, message) for message in islice(bag.messages({channel.topic}), BLOCK_SIZE)]
     if not first:
         raise InputError(f"{bag.path}: {topic} has no messages" + (bag.damage and f"; {bag.damage}"))
-    read = [rosbag.read_wrench_message(bag, message) for message in first]
-    stamp, frame_id, _ = read[0]
+    stamp, frame_id, _ = first[0]
     frame: Frame = options.frame or ("base" if frame_id in ("base", f"{ros_name(model.name)}/base") else "sensor")
     notes = [f"{topic}, frame {quoted(frame_id)}, interpreted as the {frame} frame"]
     if stamp == 0:
         notes.append("its headers have no time stamp: the time of recording is used")
-    typical = np.median(np.abs([values[3:] for _, _, values in read]), axis=0)
+    typical = np.median(np.abs([values[3:] for _, _, values in first]), axis=0)
     limit = model.wrench_range[3:]
     if options.moment_unit == "Nm" and (typical > limit).any() and (typical * MM <= limit).all():
         notes.append(
             f"moments of {typical.max():.3g} N·m are beyond the sensor's {limit.max():.3g} N·m; "
             "if they are in N·mm, use moment_unit=Nmm"
         )
-    factors = np.array([1.0] * 3 + [MM if options.moment_unit == "Nmm" else 1.0] * 3)
-    unread = np.full(BLOCK_SIZE, np.nan)
+    factors = np.repeat([1.0, MM if options.moment_unit == "Nmm" else 1.0], 3)
 
     def blocks() -> Iterator[Block]:
         messages = bag.messages({channel.topic})
         while batch := list(islice(messages, BLOCK_SIZE)):
-            read = [rosbag.read_wrench_message(bag, message) for message in batch]
+            read = [_read_wrench(bag, message) for message in batch]
             stamps = [at if stamp else message.logged
                       for message, (at, _, _) in zip(batch, read, strict=True)]  # fmt: skip
             wrench = np.array([values for _, _, values in read]) * factors
             if frame == "base":
                 wrench = model.to_sensor(wrench, model.gravity_base)
-            yield Block(np.array(stamps, dtype=float) / 1e9, wrench, model.gravity_base, unread[: len(batch)])
+            yield Block(np.array(stamps, dtype=float) / 1e9, wrench, model.gravity_base, np.full(len(read), np.nan))
 
     return OpenRecording(bag.path, topic, frame, tuple(notes),
-                    lambda: _checked(bag.path, blocks()),
-                    lambda: (f"incomplete: {bag.damage}",) if bag.damage else ())  # fmt: skip
+                         lambda: _checked(bag.path, blocks()),
+                         lambda: (f"incomplete: {bag.damage}",) if bag.damage else ())  # fmt: skip
+
+
+def _read_wrench(bag: Bag, message: Message) -> tuple[int, str, list[float]]:
+    """Return time stamp [ns], frame and wrench of a message."""
+    try:
+        decoded = decode(message.data, schemas.WRENCH)
+    except ValueError as error:
+        at = f"{message.logged / 1e9:.9g} s"
+        raise InputError(f"{bag.path}: a message of {quoted(message.topic)} logged at {at}: {error}") from None
+    wrench = [getattr(vector, axis) for vector in (decoded.wrench.force, decoded.wrench.torque) for axis in "xyz"]
+    return rosbag.header_stamp(decoded.header), decoded.header.frame_id, wrench
 
 
 def _checked(path: Path, blocks: Iterable[Block]) -> Iterator[Block]:
     """Yield the blocks; refuse values beyond the range of any sensor and decreasing time."""
-    last = -np.inf
+    last, ceiling = -np.inf, np.repeat([CEILING["force"], CEILING["moment"]], 3)
     for block in blocks:
         times: Array = np.concatenate([[last], block.time])
-        back = np.flatnonzero(np.diff(times) < 0)
-        if len(back):
-            i = int(back[0])
+        for i in np.flatnonzero(np.diff(times) < 0)[:1]:
             raise InputError(f"{path}: time decreases, from {times[i]:.9g} s to {times[i + 1]:.9g} s")
-        if not block.fault:
-            check_wrenches(path, block.time, block.wrench_sensor)
+        beyond = ~(np.abs(block.wrench_sensor) <= ceiling)
+        for i, j in np.argwhere(beyond)[:1] if not block.fault else ():
+            value = f"{WRENCH[j].capitalize()} = {block.wrench_sensor[i, j]:g} {'N' if j < 3 else 'N·m'}"
+            at = f"at {block.time[i]:.9g} s"
+            raise InputError(f"{path}: {value} {at} exceeds the range of any sensor; raw counts or a wrong unit?")
         last = float(times[-1])
         yield block
 
@@ -234,7 +222,9 @@ def _native_blocks(bag: Bag, raw_topic: str, block_topic: str, dropped: list[int
                 raise InputError(f"{bag.path}: {len(raw)} readings without a {block_topic}")
             continue
         try:
-            first, block = _native_block(raw, rosbag.clock_offset(bag, raw_topic), read_text(message.data))
+            first, block = _native_block(
+                raw, rosbag.clock_offset(bag, raw_topic), decode(message.data, BLOCK.type).data
+            )
         except (ValueError, KeyError, TypeError, RecursionError, OverflowError) as error:
             if bag.damage:  # the rest of this block lies in the damaged part
                 raw = []
@@ -263,101 +253,6 @@ def _native_block(raw: list[Message], clock_offset: int, text: str) -> tuple[int
     time = np.array([(message.logged - clock_offset) / 1e9 for message in raw])
     wrench = read_wrenches([message.data for message in raw]).copy()
     return first, Block(time, wrench, gravity, np.full(len(time), np.nan), one_line(fault, 200), stretch)
-
-
-FIRST_WORDS = "Start Time"
-ATI_HEADER = ("status(hex)", "rdtsequence", "f/tsequence", "fx", "fy", "fz", "tx", "ty", "tz", "time")
-
-
-def is_ati_demo(path: Path) -> bool:
-    """Return whether a file begins like a recording of ATI's Java demo, version 1.1.1."""
-    try:
-        with path.open("rb") as file:
-            return file.read(len(FIRST_WORDS) + 4).lstrip(b'\xef\xbb\xbf"').startswith(FIRST_WORDS.encode())
-    except (OSError, ValueError):
-        return False
-
-
-def read_ati_demo(path: Path) -> Recording:
-    """Read a recording of ATI's demonstration program: seven lines, a header, and rows of quoted fields.
-
-    A row contains counts or units. The time is the sensor's, from the first sample.
-
-    Raises:
-        InputError: the file cannot be read or is invalid; the message names the line.
-    """
-    lines = read_table(path, "recording").splitlines()
-    factors, start = _head(path, lines)
-    rows = [(number, fields) for number, fields in enumerate(csv.reader(lines[start:]), start + 1) if fields]
-    notes = []
-    if rows and len(rows[-1][1]) < len(ATI_HEADER):
-        notes.append(f"line {rows[-1][0]} is incomplete at the end: dropped")
-        rows.pop()
-    dropped = len(notes)
-    values = np.array([_numbers(path, number, fields) for number, fields in rows]).reshape(-1, 8)
-    if not len(values):
-        raise InputError(f"{path}: no samples, only a header")
-    time = _time(path, values[:, 1], [number for number, _ in rows])
-    counts = bool((values[:, 2:] == np.rint(values[:, 2:])).all())  # counts are integers, newtons are not
-    wrench = values[:, 2:] * factors[0] / (factors[1] if counts else 1.0)
-    good = np.array([not fault_of(int(status)) for status in values[:, 0]])
-    if not good.all():
-        notes.append(f"{int((~good).sum())} samples with a fault are omitted")
-    gaps, missing = gaps_in(time[good])
-    if gaps:
-        notes.append(f"{missing} samples are missing in {gaps} gaps")
-    check_wrenches(path, time[good], wrench[good])
-    return Recording(time[good], wrench[good], "sensor", None, gaps, missing, dropped, tuple(notes))
-
-
-def _head(path: Path, lines: list[str]) -> tuple[tuple[Array, Array], int]:
-    """Return units in SI and counts per unit, (6,) each, and the number of lines before the first row."""
-    head: dict[str, str] = {}
-    for number, line in enumerate(lines[:20], 1):
-        if re.sub(r"[\s\"]", "", line).lower().split(",") == list(ATI_HEADER):
-            force, torque = (
-                unit_of(f"{path}: {what} Units", head.get(f"{what} Units", ""), units)
-                for what, units in (("Force", FORCE_UNITS), ("Torque", TORQUE_UNITS))
-            )
-            counts = [_counts(path, head, f"Counts per Unit {what}") for what in ("Force", "Torque")]
-            return (np.repeat([force, torque], 3), np.repeat(counts, 3)), number
-        name, _, value = line.strip().strip('"').partition(":")
-        head[name.strip()] = value.strip()
-    raise InputError(f"{path}: like a recording of ATI's demo, but without its header: Status (hex), ..., Time")
-
-
-def _counts(path: Path, head: dict[str, str], name: str) -> float:
-    try:
-        counts = float(head[name])
-    except (KeyError, ValueError):
-        counts = 0.0
-    if not 0.0 < counts < np.inf:
-        raise InputError(f"{path}: {name} {quoted(head.get(name, ''))} must be a positive number")
-    return counts
-
-
-def _numbers(path: Path, number: int, fields: list[str]) -> list[float]:
-    """Return status, sequence number of the sensor and six channels."""
-    try:
-        if len(fields) != len(ATI_HEADER):
-            raise ValueError
-        numbers = [int(fields[0].strip(), 16), int(fields[2]), *map(float, fields[3:9])]
-    except ValueError:
-        text = quoted(",".join(fields))
-        raise InputError(f"{path}:{number}: {text} is not a row of {len(ATI_HEADER)} fields of ATI's demo") from None
-    if not np.isfinite(numbers).all() or not 0 <= min(numbers[:2]) <= max(numbers[:2]) < WRAP:
-        raise InputError(f"{path}:{number}: {quoted(','.join(fields))} contains a number that no box sends")
-    return numbers
-
-
-def _time(path: Path, sequence: Array, numbers: list[int]) -> Array:
-    """Return the time by the sensor's own counter, across its 32-bit overflow [s], (n,)."""
-    ticks = np.diff(sequence) % WRAP
-    back = np.flatnonzero(ticks > WRAP / 2)
-    if len(back):
-        number = numbers[int(back[0]) + 1]
-        raise InputError(f"{path}:{number}: F/T Sequence decreases; sort the rows or split the recording")
-    return np.concatenate([[0.0], np.cumsum(ticks)]) / SAMPLES_PER_SECOND
 
 
 PARAMETERS = {"speed": SPEED, "other_probe": SourceParameter(0, 0, 1, integer=True)}

@@ -8,6 +8,7 @@ import re
 import subprocess
 import sys
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, TypeVar, get_args
 from urllib.parse import unquote
@@ -31,31 +32,22 @@ SYSTEM_PYTHONS = ("/usr/bin/python3", "python3")
 PROBE_TIMEOUT = 20.0  #: Maximum time to import rclpy [s].
 MAX_POSE_RATE = 2000.0  #: Maximum number of poses per second.
 T = TypeVar("T")
-TEXT_PARAMETERS: dict[str, tuple[str, ...]] = {
-    "frame": get_args(Frame), "moment_unit": get_args(MomentUnit), "python": (),
-}  # fmt: skip
+TEXT_PARAMETERS = {"frame": get_args(Frame), "moment_unit": get_args(MomentUnit)}
 
 
-def find_python(option: str, chosen: str = "") -> str:
-    """Return the first interpreter that can import rclpy: the chosen one, or this one, or the system's.
+def find_python(option: str) -> str:
+    """Return the first interpreter that can import rclpy: this one, or the system's.
 
     Raises:
         InputError: there is none.
     """
-    candidates = (chosen,) if chosen else (sys.executable, *SYSTEM_PYTHONS)
+    candidates = (sys.executable, *SYSTEM_PYTHONS)
     for python in candidates:
-        try:
-            finished = subprocess.run(
-                [python, "-c", "import rclpy"], capture_output=True, timeout=PROBE_TIMEOUT, stdin=subprocess.DEVNULL
-            )
-        except (OSError, ValueError, subprocess.SubprocessError):
-            continue
-        if finished.returncode == 0:
+        with suppress(OSError, ValueError, subprocess.SubprocessError):
+            command = [python, "-c", "import rclpy"]
+            subprocess.run(command, capture_output=True, timeout=PROBE_TIMEOUT, stdin=subprocess.DEVNULL, check=True)
             return python
-    raise InputError(
-        f"{option}: {', '.join(candidates)} cannot import rclpy; source the set-up file of ROS 2, or name its "
-        "interpreter with ?python="
-    )
+    raise InputError(f"{option}: {', '.join(candidates)} cannot import rclpy; source the set-up file of ROS 2")
 
 
 class Bridge(Listener[T]):
@@ -119,8 +111,7 @@ def open_ros2(model: ProbeModel, target: str, query: str, log: Log) -> UdpSource
     topic = target.strip("/")
     if not target.startswith("//") or not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*", topic):
         raise InputError(f"{option}: write ros2://TOPIC, as ros2://ft_sensor/wrench")
-    python = find_python(option, texts["python"])
-    command, unit = (python, "wrench", f"/{topic}"), texts["moment_unit"] or "Nm"
+    command, unit = (find_python(option), "wrench", f"/{topic}"), texts["moment_unit"] or "Nm"
     bridge = Bridge(option, "wrenches", parse_wrench, MAX_RATE, f"topic /{topic} of ROS 2", command, (unit,))
     return UdpSource(model, bridge, log, texts["frame"], numbers["wait_s"], f"{ros_name(model.name)}/base")
 
@@ -147,7 +138,7 @@ class TransformPoses(Bridge[TimedPose]):
         super().close()
 
 
-def open_tf(target: str, parameters: Mapping[str, str]) -> TransformPoses:
+def open_tf(target: str) -> TransformPoses:
     """Open the poses `tf://WORLD/BASE`: frame BASE, the probe's base, in frame WORLD, through all frames in between.
 
     A slash in the name of a frame is written as %2F.
@@ -160,7 +151,7 @@ def open_tf(target: str, parameters: Mapping[str, str]) -> TransformPoses:
     if not target.startswith("tf://") or not world or not base or "/" in base:
         raise InputError(f"{option}: write tf://WORLD/BASE, as tf://world/probe_base")
     world, base = unquote(world), unquote(base)
-    command = (find_python(option, parameters.get("python", "")), "tf", world, base)
+    command = (find_python(option), "tf", world, base)
     poses = TransformPoses(option, "poses", parse_pose, MAX_POSE_RATE, f"TF of {base} in {world}", command)
     poses.start()
     return poses

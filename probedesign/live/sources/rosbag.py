@@ -1,22 +1,14 @@
 """ROS 2 bags, as MCAP or sqlite3: channels, messages, wrenches and poses."""
 
 import difflib
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import Any, Protocol
 
 from probedesign.core.errors import InputError, MissingDependencyError, one_line, quoted
 from probedesign.live.poses.base_poses import TimedPose, TransformTree, timed_pose
 from probedesign.live.recordings import require_mcap
-from probedesign.live.recordings.schemas import (
-    MCAP_MAGIC,
-    POSE,
-    TRANSFORMS,
-    BagTopic,
-    Message,
-    read_stamped,
-    type_store,
-)
+from probedesign.live.recordings.schemas import MCAP_MAGIC, POSE, TRANSFORMS, BagTopic, Message, decode
 
 SQLITE_MAGIC = b"SQLite format 3\0"  #: The first bytes of a `.db3` file.
 
@@ -139,21 +131,6 @@ class RosBag:
         return InputError(f"{self.path}: cannot be read as a ROS 2 bag: {text}")
 
 
-BLOCK_SIZE = 256  #: Readings per block: few enough for a short delay, enough for efficiency.
-
-
-def read_wrench_message(bag: Bag, message: Message) -> tuple[int, str, tuple[float, ...]]:
-    """Return time [ns], frame and wrench of a message; raises InputError if it is invalid."""
-    try:
-        return read_stamped(message.data, 6)
-    except ValueError as error:
-        at = f"{message.logged / 1e9:.9g} s"
-        raise InputError(f"{bag.path}: a message of {quoted(message.topic)} logged at {at}: {error}") from None
-
-
-STATIC = "/tf_static"
-
-
 def is_bag_path(path: Path) -> bool:
     """Return whether a path is a bag by its name: a folder, or a file with the suffix of a bag."""
     return path.is_dir() or path.suffix in (".mcap", ".db3")
@@ -182,11 +159,11 @@ def read_bag_poses(path: Path, topic: str = "", world: str = "", base: str = "")
         poses = []
         for message in bag.messages({name}):
             try:
-                stamp, frame, numbers = read_stamped(message.data, 7)
-                poses.append(_at(bag, message, name, stamp, numbers[:3], numbers[3:]))
-            except (InputError, ValueError) as error:
+                decoded = decode(message.data, POSE)
+                poses.append(_at(bag, message, name, decoded.header, decoded.pose.position, decoded.pose.orientation))
+            except ValueError as error:
                 raise InputError(f"{path}: a pose on {name}: {error}") from None
-            frames.add(frame)
+            frames.add(decoded.header.frame_id)
         if not poses:
             raise InputError(f"{path}: topic {name} has no poses" + (bag.damage and f"; {bag.damage}"))
         if len(frames) > 1:
@@ -198,18 +175,15 @@ def read_bag_poses(path: Path, topic: str = "", world: str = "", base: str = "")
 
 
 def _poses_from_tf(bag: Bag, world: str, base: str) -> list[TimedPose]:
-    types, edges, tree = type_store(), [], TransformTree()
+    edges, tree = [], TransformTree()
     for message in bag.messages({channel.topic for channel in bag.channels() if channel.type == TRANSFORMS}):
         try:
-            decoded: Any = types.deserialize_cdr(bytes(message.data), TRANSFORMS)
-            for edge in decoded.transforms:
-                p, q, stamp = edge.transform.translation, edge.transform.rotation, edge.header.stamp
-                at = stamp.sec * 1_000_000_000 + stamp.nanosec
-                pose = _at(bag, message, f"/{edge.child_frame_id}", at, (p.x, p.y, p.z), (q.x, q.y, q.z, q.w))
-                edges.append((edge.header.frame_id, edge.child_frame_id, pose, message.topic == STATIC))
-        except Exception as error:  # rosbags may raise anything on invalid bytes
-            why = one_line(str(error), 120) or type(error).__name__
-            raise InputError(f"{bag.path}: a transform on {message.topic}: {why}") from None
+            for edge in decode(message.data, TRANSFORMS).transforms:
+                child, at = edge.child_frame_id, edge.transform
+                pose = _at(bag, message, f"/{child}", edge.header, at.translation, at.rotation)
+                edges.append((edge.header.frame_id, child, pose, message.topic == "/tf_static"))
+        except ValueError as error:
+            raise InputError(f"{bag.path}: a transform on {message.topic}: {error}") from None
     try:
         for parent, child, pose, static in sorted(edges, key=lambda edge: edge[2].time):
             tree.add(parent, child, pose, static)
@@ -224,8 +198,13 @@ def clock_offset(bag: Bag, name: str) -> int:
     return of_probe[0] if of_probe else bag.clock_offsets.get("", 0)
 
 
-def _at(bag: Bag, message: Message, name: str, stamp: int, p: Sequence[float], q: Sequence[float]) -> TimedPose:
-    """Return a pose at the time of its header [ns]; in our own recordings that of its log time, which ends later."""
+def header_stamp(header: Any) -> int:
+    """Return the time stamp of a header [ns]."""
+    return int(header.stamp.sec) * 1_000_000_000 + int(header.stamp.nanosec)
+
+
+def _at(bag: Bag, message: Message, name: str, header: Any, p: Any, q: Any) -> TimedPose:
+    """Return a pose at the time of its header; in our own recordings that of its log time, which ends later."""
     offset = clock_offset(bag, name)
-    second, nanosecond = divmod((message.logged if offset else stamp) - offset, 1_000_000_000)
-    return timed_pose(second + nanosecond * 1e-9, p, q)
+    second, nanosecond = divmod((message.logged if offset else header_stamp(header)) - offset, 1_000_000_000)
+    return timed_pose(second + nanosecond * 1e-9, (p.x, p.y, p.z), (q.x, q.y, q.z, q.w))
