@@ -73,7 +73,7 @@ recover run.csv
 markers data --no-overlays
 markers data --base-side middle
 simulate exports/a/a.probe.json --port 0 --http-port 0 --scene free --seconds 0.1
-simulate exports/a/a.probe.json --rate-hz 3000
+simulate exports/a/a.probe.json --seconds 0
 demo --out demo
 demo --out designs
 doctor
