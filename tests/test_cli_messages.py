@@ -87,7 +87,7 @@ def manifest() -> dict[str, object]:
         "folder": "exports/a", "files": ["probe.stl", "probe.3mf", "assembly.step", "assembly.html", "parts.csv"],
         "fingerprint": "dbfe02e41516", "mass": {"whole": {"mass_kg": 0.0201}},
         "T_sensor_base": [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0.0156], [0, 0, 0, 1]],
-        "base": {"held_by": "4 x M2x10"}, "verification": {"volume": {"ok": True}, "mass": {"ok": False}},
+        "verification": {"volume": {"ok": True}, "mass": {"ok": False}},
         "assumptions": ["density of the steel parts"],
         "print_scale": {"probe": [1.01, 1.01, 1.02], "adapter": [1.0, 1.0, 1.0]},
         "print_check": {
@@ -96,7 +96,6 @@ def manifest() -> dict[str, object]:
         },
         "tolerance_stacks": [{"what": "compression of the lip", "ok": True}],
         "screws": [{"count": 4, "screw": "M2x10", "into": "the sensor", "entry_mm": 2.5, "entry_allowed_mm": [2, 3]}],
-        "also_needed": {"dowel pin 2x6 mm": 2}, "assembly_order": ["Press the pins in.", "Screw the adapter on."],
     }  # fmt: skip
 
 

@@ -2,7 +2,7 @@
 
 import base64
 import math
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from html import escape
 from typing import Any
@@ -10,24 +10,15 @@ from typing import Any
 import numpy as np
 
 from probedesign.cad.inspection import inspection_sheets
-from probedesign.cad.model import CadModel, CadPart
-from probedesign.cad.render import (
-    PALE,
-    OrthographicCamera,
-    RenderBody,
-    fit_view,
-    png_bytes,
-    render_bodies,
-    render_body,
-    render_png,
-)
+from probedesign.cad.model import CadModel
+from probedesign.cad.render import PALE, RenderBody, fit_view, png_bytes, render_bodies, render_body
 from probedesign.cad.solids import ScrewGroup
 from probedesign.core import csv_tables
 from probedesign.core.svg import Anchor, Canvas
 from probedesign.core.units import MM, MPA
 from probedesign.design.catalog import RIGID_RESIN
 from probedesign.geometry.mass import combined
-from probedesign.mount import FlangeAdapter, SensorAdapter
+from probedesign.mount import SensorAdapter
 from probedesign.mount.flange_adapter import CENTRING_PIN_LENGTH
 from probedesign.mount.tolerance_stack import (
     CALIPERS,
@@ -70,48 +61,21 @@ class AssemblyStep:
         return tuple(name for move in self.moves for name in move.parts)
 
 
-#: All parts moved away from the sensor, in the order of assembly.
-EXPLOSION = (
-    Move(("centring_pins",), "sensor", DOWN),
-    Move(("flange_adapter",), "centring_pins", DOWN),
-    Move(("mounting_screws",), "flange_adapter", DOWN),
-    Move(("robot_bolts",), "flange_adapter", UP),
-    Move(("dowel_pins",), "sensor", UP),
-    Move(("sensor_adapter",), "dowel_pins", UP),
-    Move(("ring_nuts",), "sensor_adapter", DOWN),
-    Move(("sensor_adapter_screws",), "sensor_adapter", UP),
-    Move(("probe",), "sensor_adapter_screws", UP),
-    Move(("clamp_ring",), "probe", UP),
-    Move(("ring_screws",), "clamp_ring", UP),
-)
-
-
-def explosion(names: Collection[str]) -> tuple[Move, ...]:
-    """Return the moves of an assembly with these parts; some have no centring pins or no dowel pins."""
-    moves = EXPLOSION if "centring_pins" in names else (Move(("flange_adapter",), "sensor", DOWN), *EXPLOSION[2:])
-    if "dowel_pins" in names:
-        return moves
-    return tuple(replace(move, onto="sensor") if move.onto == "dowel_pins" else move for move in moves
-                 if move.parts != ("dowel_pins",))  # fmt: skip
-
-
-def assembly_steps(
-    screws: list[ScrewGroup], a: SensorAdapter, plate: FlangeAdapter, glued: bool = False, curved: bool = False
-) -> list[AssemblyStep]:
+def assembly_steps(model: CadModel) -> list[AssemblyStep]:
     """Return the steps of the assembly: on the bench, upright, and bolted to the robot last.
 
     Where the sensor adapter covers the bolts of the robot, the plate is bolted to it before the adapter is mounted.
-
-    Args:
-        screws: of the assembly.
-        a, plate: of the mount.
-        glued: whether the flange's underside is glued.
-        curved: whether the axis of the probe is curved.
     """
-    pins, robot = len(plate.p_centring_pins), plate.robot
+    a, robot, pins = model.adapter, model.plate.robot, len(model.plate.p_centring_pins)
+    curved = not model.geometry.axis.is_straight
     centred = f"press the {pins} centring pins into the flange adapter as deep as they go, set the sensor between them "
-    base = explosion(("centring_pins",) if pins else ())[: 2 if pins else 1]
-    glue = "spread a thin film of flexible cyanoacrylate on the land only, none in groove and notch or on screw "
+    plate = Move(("flange_adapter",), "centring_pins" if pins else "sensor", DOWN)
+    base = (Move(("centring_pins",), "sensor", DOWN), plate) if pins else (plate,)
+    glue = (
+        "spread a thin film of flexible cyanoacrylate on the land only, none in groove and notch or on screw heads, "
+        if model.design.mount.hold == "glued"
+        else ""
+    )
     along = (
         "thread the clamp ring over the tip and along the bend down to the flange; where the soft body lies over a "
         "screw, hold it aside with a finger"
@@ -120,13 +84,12 @@ def assembly_steps(
     )
     aside = "; where the soft body lies over a bolt, hold it aside with a finger" if curved else ""
     of = {
-        use.name: f"{len(use.points)} {use.screw.thread}x{use.length / MM:g}, at most "
-        f"{ring_torque(a) if use.name == 'ring_screws' else hand_torque(use.screw):g} N·m"
-        for use in screws
+        use.name: f"{len(use.points)} {use.screw.thread}x{use.length / MM:g}, at most {torque_of(use, a):g} N·m"
+        for use in model.screws
     }
-    own_pin = f", its own {robot.pin_d / MM:g} mm dowel pin in the slot" if robot.pin_d > 0.0 else ""
+    robot_pin = f", its own {robot.pin_d / MM:g} mm dowel pin in the slot" if robot.pin_d > 0.0 else ""
     bolted = AssemblyStep(
-        f"bolt the flange adapter to the robot: {of['robot_bolts']}, from above{own_pin}; tie the cable to the plate "
+        f"bolt the flange adapter to the robot: {of['robot_bolts']}, from above{robot_pin}; tie the cable to the plate "
         f"through the two slots, with a slack loop before the tie{aside}",
         (Move(("robot_bolts",), "flange_adapter", UP),))  # fmt: skip
     by_eye, centred_by_eye = f"(the play leaves ±{a.tool_play_deg:.1f}°), ", "" if a.p_dowels else "centre it, "
@@ -154,7 +117,7 @@ def assembly_steps(
              (Move(("sensor_adapter", "ring_nuts"), "dowel_pins" if a.p_dowels else "sensor", UP),
               Move(("sensor_adapter_screws",), "sensor_adapter", UP)),
              measure=("sensor adapter: each", "sensor adapter: thickness")),
-        AssemblyStep(f"{f'{glue}heads, ' if glued else ''}lay the flange into the recess, its hole over the peg: peg "
+        AssemblyStep(f"{glue}lay the flange into the recess, its hole over the peg: peg "
              "and the flat on the rim are at +X, and the probe's number is in the window opposite",
              (Move(("probe",), "sensor_adapter", UP),), measure=("probe:", "flange minus recess")),
         AssemblyStep(f"{along}, with an even gap around the probe, and screw it down crosswise in two rounds with "
@@ -162,6 +125,11 @@ def assembly_steps(
              (Move(("clamp_ring",), "probe", UP), Move(("ring_screws",), "clamp_ring", UP))),
         *([] if covered else [bolted]),
     ]  # fmt: skip
+
+
+def torque_of(use: ScrewGroup, a: SensorAdapter) -> float:
+    """Return the greatest torque of a screw [N·m]."""
+    return ring_torque(a) if use.name == "ring_screws" else hand_torque(use.screw)
 
 
 # ---- bill of materials
@@ -189,31 +157,26 @@ class BillItem:
         return self.name.replace("_", " ")
 
 
-def bill_of_materials(model: CadModel) -> list[BillItem]:
+def bill_of_materials(model: CadModel, steps: Iterable[AssemblyStep]) -> list[BillItem]:
     """Return the bill of materials: the sensor first, then every part in the order of assembly."""
-    order = ["sensor", *(name for move in explosion(model.parts) for name in move.parts)]
-    return [_item(number, model, model.parts[name]) for number, name in enumerate(order, 1)]
-
-
-def _item(number: int, model: CadModel, part: CadPart) -> BillItem:
-    count, length, material, file, torque = len(part.places), None, STEEL, "", None
-    what = part.standard
-    grams = float(f"{1e3 * part.body.mass:.3g}") if part.density else None
-    use = next((use for use in model.screws if use.name == part.name), None)
-    if part.printed:
-        file = f"{part.name}.stl"
-        material = model.design.resin.name if part.name == "probe" else RIGID_RESIN
-        what = "printed"
-    elif use is not None:
-        length = round(use.length / MM, 3)
-        torque = ring_torque(model.adapter) if use.name == "ring_screws" else hand_torque(use.screw)
-    elif part.name == "centring_pins":
-        length = CENTRING_PIN_LENGTH / MM
-    elif part.name == "dowel_pins":
-        length = model.adapter.dowels.pin_length / MM
-    elif not part.standard:
-        what, material = _sensor_text(model), ""
-    return BillItem(number, part.name, count, what, length, material, grams, file, torque)
+    screws = {use.name: use for use in model.screws}
+    pins = {"centring_pins": CENTRING_PIN_LENGTH, "dowel_pins": model.adapter.dowels.pin_length}
+    bill = []
+    for number, name in enumerate(dict.fromkeys(["sensor", *(name for step in steps for name in step.parts)]), 1):
+        part, use = model.parts[name], screws.get(name)
+        length = pins.get(name) if use is None else use.length
+        what, material, file = part.standard, STEEL, ""
+        if part.printed:
+            resin = model.design.resin.name if name == "probe" else RIGID_RESIN
+            what, material, file = "printed", resin, f"{name}.stl"
+        elif not part.standard:
+            what, material = _sensor_text(model), ""
+        bill.append(BillItem(
+            number, name, len(part.places), what, None if length is None else round(length / MM, 3), material,
+            float(f"{1e3 * part.body.mass:.3g}") if part.density else None, file,
+            None if use is None else torque_of(use, model.adapter),
+        ))  # fmt: skip
+    return bill
 
 
 def _sensor_text(model: CadModel) -> str:
@@ -225,9 +188,7 @@ def _sensor_text(model: CadModel) -> str:
 GAP = 8.0  #: Distance between exploded parts [mm].
 EXPLODED_SIZE, STEP_SIZE = (560, 1300), (360, 320)
 ABOVE = 25.0  #: Length of the probe that a step's picture shows above all other parts [mm].
-FIXED_PART = "sensor"
 LABEL_WIDTH, LINE = 285.0, 19.0  #: Width of the label column, and line spacing of a label [px].
-FROM_ABOVE = OrthographicCamera()
 
 Bodies = Mapping[str, RenderBody]
 
@@ -241,19 +202,22 @@ def exploded_bodies(bodies: Bodies, moves: Iterable[Move], seat: float) -> dict[
         seat: z up to which the probe counts [mm]: the ring is drawn around the probe, not beyond its tip.
     """
     lifts = dict.fromkeys(bodies, 0.0)
+    ends: dict[tuple[str, int], float] = {}  # of what was moved away from a side of a part before
     for move in moves:
-        spans = [bodies[name].span for name in move.parts]
+        low, high = min(bodies[name].span[0] for name in move.parts), max(bodies[name].span[1] for name in move.parts)
         bottom, top = bodies[move.onto].span
-        if move.onto == "probe":
-            top = seat
-        away = bottom - GAP - max(s[1] for s in spans) if move.side == DOWN else top + GAP - min(s[0] for s in spans)
-        lifts |= dict.fromkeys(move.parts, lifts[move.onto] + away)
+        top, up = seat if move.onto == "probe" else top, move.side == UP
+        start = ends.get((move.onto, move.side), lifts[move.onto] + (top if up else bottom))
+        away = start + GAP - low if up else start - GAP - high
+        ends[move.onto, move.side] = away + (high if up else low)
+        for name in move.parts:  # a part that was moved onto another one before goes with it
+            lifts[name] += away
     return {name: body.translated(lifts[name]) for name, body in bodies.items()}
 
 
 def step_pictures(bodies: Bodies, steps: Sequence[AssemblyStep], seat: float) -> list[bytes]:
     """Return a PNG of each step: its parts on their way, and the parts mounted before in a paler colour."""
-    pictures, there = [], [FIXED_PART]
+    pictures, there = [], ["sensor"]
     for step in steps:
         onto = [move.onto for move in step.moves if move.onto not in step.parts]
         before = [name for name in (onto if step.on_bench else there) if name not in step.parts]
@@ -262,43 +226,41 @@ def step_pictures(bodies: Bodies, steps: Sequence[AssemblyStep], seat: float) ->
         exploded = exploded_bodies(shown, step.moves, seat)
         drawn = list(exploded.values())
         below = max(body.span[1] for name, body in exploded.items() if name != "probe") + ABOVE
-        pictures.append(png_bytes(render_bodies(drawn, fit_view(drawn, FROM_ABOVE, STEP_SIZE, below))[0]))
+        pictures.append(png_bytes(render_bodies(drawn, fit_view(drawn, STEP_SIZE, below))[0]))
         if not step.on_bench:
             there += [name for name in step.parts if name not in there]
     return pictures
 
 
-def exploded_svg(bodies: Bodies, bill: Sequence[BillItem], title: str, seat: float) -> Canvas:
+def exploded_svg(
+    bodies: Bodies, steps: Iterable[AssemblyStep], bill: Sequence[BillItem], title: str, seat: float
+) -> Canvas:
     """Return the exploded view of all parts with their numbers, names and descriptions; for `seat` see
     `exploded_bodies`."""
-    exploded = exploded_bodies(bodies, explosion(bodies), seat)
-    names = list(exploded)
-    view = fit_view(list(exploded.values()), FROM_ABOVE, EXPLODED_SIZE)
-    pixels, owners = render_bodies(list(exploded.values()), view)
+    exploded = list(exploded_bodies(bodies, (move for step in steps for move in step.moves), seat).values())
+    view = fit_view(exploded, EXPLODED_SIZE)
+    pixels, owners = render_bodies(exploded, view)
     width, height = view.size
     svg = Canvas(width + 2 * LABEL_WIDTH, height, unit="px", title=title)
     svg.add("rect", width=svg.width, height=height, fill="#fff")  # of the file; a dark page removes it
     picture = base64.b64encode(png_bytes(pixels)).decode()
     svg.add("image", x=LABEL_WIDTH, y=0.0, width=width, height=height, href=f"data:image/png;base64,{picture}")
+    shown = {name: np.nonzero(owners == i) for i, name in enumerate(bodies)}  # rows and columns of its pixels
 
-    def middle(name: str) -> float:
-        rows = np.nonzero((owners == names.index(name)).any(axis=1))[0]
-        return float(rows.mean()) if len(rows) else 0.0
-
-    def visible_pixel(name: str, side: int) -> tuple[float, float]:
-        rows, columns = np.nonzero(owners == names.index(name))
+    def anchor_of(name: str, side: int) -> tuple[float, float]:
+        rows, columns = shown[name]
         if len(rows) == 0:
             return width / 2, height / 2
         edge = np.quantile(columns, 0.06 if side == 0 else 0.94)
         i = int(np.argmin(np.abs(columns - edge) + 0.5 * np.abs(rows - np.median(rows))))
         return float(columns[i]), float(rows[i])
 
-    order, items = sorted(names, key=middle), {item.name: item for item in bill}
+    items = {item.name: item for item in bill}
+    order = sorted(shown, key=lambda name: float(np.unique(shown[name][0]).mean()) if len(shown[name][0]) else 0.0)
     for side in (0, 1):  # alternating left and right, from the top
-        column = order[side::2]
-        anchors = [visible_pixel(name, side) for name in column]
+        anchors = [anchor_of(name, side) for name in order[side::2]]
         heights = _spread([y for _, y in anchors], 3.2 * LINE, height)
-        for name, anchor, y in zip(column, anchors, heights, strict=True):
+        for name, anchor, y in zip(order[side::2], anchors, heights, strict=True):
             _label(svg, items[name], anchor, y, side, width)
     return svg
 
@@ -387,20 +349,23 @@ def assembly_page(
         f'<div class="exploded">{exploded}</div>', _warning(model),
         _after_printing(model, post_processing),
         f"<h2>Tools and small parts</h2><ul class=tools>{''.join(f'<li>{escape(tool)}</li>' for tool in tools)}</ul>",
-        '<h2>Steps</h2><p>Measure before you screw; the table at the end says what to do outside of a range.</p>'
-        '<div class="steps">',
+        "<h2>Steps</h2><p>Measure before you screw, in millimetres. The ranges leave room for the tolerance of the "
+        f"screws, for heads that settle, and for the calipers: {CALIPERS / MM:g} mm for a reading, on the side that "
+        "destroys the sensor and on both sides of the lip's compression. Do not sand the foot of the sensor adapter or "
+        'the faces of the flange adapter.</p><div class="steps">',
     ]  # fmt: skip
     for number, (step, picture) in enumerate(zip(steps, pictures, strict=True), 1):
         source, text = base64.b64encode(picture).decode(), escape(step.text[0].upper() + step.text[1:])
         image = f'<img alt="step {number}" src="data:image/png;base64,{source}">'
         ticks = [
-            f"{escape(row.what)}: <b>{row.accept[0] / MM:.2f} … {row.accept[1] / MM:.2f} mm</b>"
+            f"{escape(row.what)}: <b>{row.accept[0] / MM:.2f} … {row.accept[1] / MM:.2f}</b> (drawn "
+            f"{row.nominal / MM:.2f}; {escape(row.otherwise)})"
             for row in rows
             if row.what.startswith(step.measure or "-")
         ]
         boxes = "".join(f"<label><input type=checkbox> {tick}</label>" for tick in (*ticks, f"step {number} done"))
         sections.append(f'<div class="step">{image}<b>{number}</b>{text}.{boxes}</div>')
-    sections += ["</div>", _measure(model), "<h2>Parts</h2>", _parts(bill), _tightening(model), _frames(model)]
+    sections += ["</div><h2>Parts</h2>", _parts(bill), _tightening(model), _frames(model)]
     about = (
         f"geometry {model.geometry.fingerprint} · {escape(_sensor_text(model))} · {escape(model.plate.robot.source)}"
         " · compare the geometry's number with the manifest and with the probe that <code>live</code> runs"
@@ -433,21 +398,6 @@ def _warning(model: CadModel) -> str:
     )
 
 
-def _measure(model: CadModel) -> str:
-    head = "<tr><th>measure</th><th class=n>drawn</th><th class=n>accept</th><th>outside</th></tr>"
-    rows = "".join(
-        f"<tr><td>{escape(row.what)}</td><td class=n>{row.nominal / MM:.2f}</td>"
-        f"<td class=n>{row.accept[0] / MM:.2f} … {row.accept[1] / MM:.2f}</td><td>{escape(row.otherwise)}</td></tr>"
-        for row in measurements(model.adapter, model.plate)
-    )
-    return (
-        "<h2>Measure before the first screw</h2><p>In millimetres. The ranges leave room for the tolerance of the "
-        f"screws, for heads that settle, and for the calipers: {CALIPERS / MM:g} mm for a reading, on the side that "
-        "destroys the sensor and on both sides of the lip's compression. Do not sand the foot "
-        f"of the sensor adapter or the faces of the flange adapter.</p><table>{head}{rows}</table>"
-    )
-
-
 def _parts(bill: Sequence[BillItem]) -> str:
     head = (
         "<thead><tr><th class=n>no.</th><th>part</th><th class=n>pieces</th><th>what</th><th>of</th>"
@@ -472,18 +422,16 @@ def _tightening(model: CadModel) -> str:
         f"The ring needs {clamp.nominal:.0f} N to reach the wall, {low:.0f} to {high:.0f} N with all tolerances; its "
         f"{clamp.screws} screws give {clamp.preload:.0f} N."
     )
-    if high > clamp.preload:
-        lip = (
-            f'<div class="warning"><strong>The ring may not close.</strong>{lip} Print the probe with a smaller '
-            "flange_lip_mm or a larger flange_thickness_mm, or take M3 screws; do not tighten further.</div>"
-        )
+    warning = "" if high <= clamp.preload else (
+        f'<div class="warning"><strong>The ring may not close.</strong>{lip} Print the probe with a smaller '
+        "flange_lip_mm or a larger flange_thickness_mm, or take M3 screws; do not tighten further.</div>"
+    )  # fmt: skip
     return (
         "<h2>How tight</h2><p>By hand: the short arm of the key between two fingers, until the head sits; then no "
         f"further. Computed, not tested: at the torque of the table the head presses the resin with "
         f"{RESIN_PRESSURE / MPA:g} MPa, a third of its strength, since resin creeps (assumed), with a nut factor of "
-        f"{NUT_FACTOR:g} (dry steel, Shigley). {'' if high > clamp.preload else lip} Tighten crosswise in two rounds, "
-        "and once more after a day. No thread lock near the resin: some crack it (assumed).</p>"
-        f"{lip if high > clamp.preload else ''}"
+        f"{NUT_FACTOR:g} (dry steel, Shigley). {'' if warning else lip} Tighten crosswise in two rounds, and once more "
+        f"after a day. No thread lock near the resin: some crack it (assumed).</p>{warning}"
     )
 
 
@@ -520,37 +468,27 @@ def _frames(model: CadModel) -> str:
     )
 
 
-PART_SIZE, ASSEMBLY_SIZE = (640, 640), (800, 1000)
+ASSEMBLY_SIZE = (800, 1000)
 
 
-@dataclass(frozen=True)
-class Documents:
-    """The documents of an export."""
+def build_documents(
+    model: CadModel, post_processing: Mapping[str, str]
+) -> tuple[dict[str, bytes], list[dict[str, Any]]]:
+    """Return the documents of an export by name, and the bill of materials for the manifest.
 
-    files: dict[str, bytes]  #: by name.
-    bill: list[dict[str, Any]]  #: of materials, for the manifest.
-    steps: list[str]  #: the instructions, in order.
-
-
-def build_documents(model: CadModel, post_processing: Mapping[str, str]) -> Documents:
-    """Return all documents of an export; `post_processing` is that of the probe's print, by step."""
+    Args:
+        model: of the assembly.
+        post_processing: what to do with the print of the probe, by step.
+    """
     bodies = {name: render_body(part) for name, part in model.parts.items()}
-    bill = bill_of_materials(model)
-    steps = assembly_steps(
-        model.screws,
-        model.adapter,
-        model.plate,
-        model.design.mount.hold == "glued",
-        not model.geometry.axis.is_straight,
-    )
-    seat = float(model.adapter.T_sensor_base[2, 3]) / MM
-    exploded = exploded_svg(bodies, bill, f"{model.design.name}: exploded view", seat)
-    files = {f"{part.name}.png": render_png([bodies[part.name]], PART_SIZE) for part in model.printed}
-    files |= inspection_sheets(model)
-    files["assembly.png"] = render_png(list(bodies.values()), ASSEMBLY_SIZE)
+    steps = assembly_steps(model)
+    bill, seat = bill_of_materials(model, steps), float(model.adapter.T_sensor_base[2, 3]) / MM
+    exploded = exploded_svg(bodies, steps, bill, f"{model.design.name}: exploded view", seat)
+    files = inspection_sheets(model)
+    assembled = list(bodies.values())
+    files["assembly.png"] = png_bytes(render_bodies(assembled, fit_view(assembled, ASSEMBLY_SIZE))[0], paper=True)
     files["exploded.svg"] = bytes(exploded)
     files["bill_of_materials.csv"] = csv_tables.write(list(asdict(bill[0])), map(asdict, bill))
     pictures = step_pictures(bodies, steps, seat)
     files["assembly.html"] = assembly_page(model, bill, steps, exploded, pictures, post_processing)
-    records = [{key: value for key, value in asdict(item).items() if value not in (None, "")} for item in bill]
-    return Documents(files, records, [step.text for step in steps])
+    return files, [{key: value for key, value in asdict(item).items() if value not in (None, "")} for item in bill]

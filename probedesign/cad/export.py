@@ -9,12 +9,12 @@ from typing import Any
 import cadquery as cq
 import numpy as np
 
-from probedesign.cad.documents import Documents, build_documents
+from probedesign.cad.documents import build_documents
 from probedesign.cad.exchange import glb_bytes, step_bytes
 from probedesign.cad.folder import check_target, digests, write_export
 from probedesign.cad.mesh import part_stl, printed_mesh, tessellate
 from probedesign.cad.model import CadModel, assembly_of, build_cad
-from probedesign.cad.packages import package_files, packed_parts
+from probedesign.cad.packages import package_files
 from probedesign.cad.verify import Findings, verify
 from probedesign.core.errors import InputError, quoted
 from probedesign.core.frames import Array
@@ -22,7 +22,6 @@ from probedesign.core.units import MM
 from probedesign.design import Design
 from probedesign.geometry.mass import MassProperties, combined
 from probedesign.mount import root_radii
-from probedesign.mount.flange_adapter import CENTRING_PIN_D, CENTRING_PIN_LENGTH
 from probedesign.mount.mount import exported_root_radii, exported_root_std
 from probedesign.mount.tolerance_stack import clamp_force, measurements, tolerance_stacks
 from probedesign.printing.check import BUILD_VOLUME, check_print, print_scale
@@ -31,49 +30,28 @@ SCHEMA = 1
 
 
 def manifest_of(
-    model: CadModel, documents: Documents, files: dict[str, dict[str, Any]], findings: Findings
+    model: CadModel, bill: list[dict[str, Any]], files: dict[str, dict[str, Any]], findings: Findings
 ) -> dict[str, Any]:
     """Return the manifest of an export."""
-    a, robot, flange, mount = model.adapter, model.plate.robot, model.geometry.flange, model.design.mount
+    a, mount = model.adapter, model.design.mount
     hold = "clamped" if mount.hold == "bonded" else mount.hold  # the exported ring clamps
     root, root_std = exported_root_radii(model.geometry, hold), exported_root_std(model.geometry, a.pressed_share)
     record = model_record(model, files, findings)
-    robot_pin = {f"dowel pin of {robot.pin_d / MM:g} mm that the robot's flange takes": 1} if robot.pin_d else {}
-    d, length = (a.dowels.diameter, a.dowels.pin_length) if a.p_dowels else (CENTRING_PIN_D, CENTRING_PIN_LENGTH)
-    pin = f"dowel pin {d / MM:g}x{length / MM:g} mm"
     return {
         "schema": SCHEMA,
         "kind": "export",
         **record,
         "assumptions": [*record["assumptions"], "tolerance_stacks", "clamp"],
-        "bill_of_materials": documents.bill,
+        "bill_of_materials": bill,
         "clamp": clamp_force(a, model.plate, model.design.youngs_modulus.value).as_record(),
         "tolerance_stacks": [stack.as_record() for stack in tolerance_stacks(a, model.plate)],
         "measure_before_assembly": [row.as_record() for row in measurements(a, model.plate)],
-        "also_needed": {
-            f"{a.ring_screw.thread} nut, ISO 4032": len(a.p_ring_screws),
-            **({pin: pins} if (pins := len(a.p_dowels) + len(model.plate.p_centring_pins)) else {}),
-            "cable tie, 2.5 mm wide": 1,
-            **robot_pin,
-        },
-        # the fingerprint, then as much of the name as fits
-        "engraved": {
-            "probe": a.on_flange.text,
-            "sensor_adapter": a.on_wall.text,
-            "clamp_ring": a.on_ring.text,
-            "flange_adapter": model.plate.on_plate.text,
-        },
-        "assembly_order": documents.steps,
         "base": {
-            "held_by": f"soft flange Ø{flange.diameter / MM:g} x {flange.thickness / MM:g} mm in one piece with "
-            f"the probe; the clamp ring presses its lip from Ø{a.ring_bore_d / MM:g} mm outwards by "
-            f"{a.squeeze / MM:.3g} mm",
             "root_rigid_radii": root_radii(model.design, model.geometry),
             "root_rigid_radii_computed": round(root, 3),
             "root_rigid_radii_means": "bending compliance that the base lacks, in base radii; 0.12 is that of a face "
             f"bonded to a rigid part, that of this {hold} soft flange about {root:.2f} ± {root_std:.2g}, "
             "computed for a full round probe, not measured: identify it on the bench",
-            "drawn": "with the lip not yet pressed: screwed down, the ring and its screws lie lower by as much",
         },
     }
 
@@ -175,16 +153,15 @@ def export_parts(
     progress("meshing")
     meshes = {part.name: tessellate(part.ruled or part.shape) for part in model.printed}
     printed = {name: printed_mesh(design, name, mesh) for name, mesh in meshes.items()}
-    packed = packed_parts(design, check, printed, model.fingerprints)
-    packages = package_files(design, packed)
-    progress("checking solids, slices and meshes against the formulae")
-    findings = verify(model, meshes, packed, packages)
+    packages = package_files(design, check, printed, model.fingerprints)
+    progress("checking solids and meshes against the formulae")
+    findings = verify(model, meshes)
     progress("rendering pictures and drawings")
-    documents = build_documents(model, check.post_processing)
+    documents, bill = build_documents(model, check.post_processing)
     progress("converting to STEP and GLB")
     stl = {f"{name}.stl": part_stl(design, name, mesh, model.fingerprints[name]) for name, mesh in printed.items()}
-    contents = stl | packages | documents.files | cad_files(model, list(printed))
-    manifest = manifest_of(model, documents, digests(contents), findings)
+    contents = stl | packages | documents | cad_files(model, list(printed))
+    manifest = manifest_of(model, bill, digests(contents), findings)
     manifest["print_check"] = check.as_record()
     manifest["print_scale"] = {name: list(print_scale(design, name)) for name in printed}
     manifest["print_offset_xy_mm"] = design.print_.offset_xy_mm  # of the probe, beside its scale

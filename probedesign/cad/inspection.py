@@ -1,11 +1,10 @@
 """Inspection sheet of each printed part: edges from the solid, and the dimensions that calipers check, from the data.
 
 A rigid part has a section on top, views from above and below under it, a table of its holes, and its accepted ranges;
-the probe stands upright, with the underside of its flange and the section of another shape beside it.
+the probe stands upright, with the underside of its flange beside it.
 """
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -26,7 +25,6 @@ from probedesign.cad.sheet import (
     THIN,
     WIDTH,
     View,
-    cross_section,
     cut,
     note,
     page,
@@ -93,23 +91,13 @@ def _accepted(model: CadModel, part: str) -> list[str]:
 # ---- rigid parts
 
 
-@dataclass(frozen=True)
-class Holes:
-    """Equal holes, labelled in a view and described in the table."""
-
-    points: Sequence[XY]  #: (x, y) of each [m].
-    size: float  #: largest diameter [m].
-    words: str  #: description of one hole.
-    on_circle: bool = True  #: whether they form a hole circle that is drawn and dimensioned.
-
-    @property
-    def text(self) -> str:
-        """Return the table's text: number, description, position."""
-        count = f"{len(self.points)} × " if len(self.points) > 1 else ""
-        degrees = (number(float(np.degrees(np.arctan2(y, x))) % 360.0) for x, y in self.points)
-        circle = 2 * float(np.hypot(*self.points[0]))
-        where = f", on ⌀{_mm(circle)} at {', '.join(f'{d}°' for d in degrees)}" if self.on_circle else ""
-        return f"{count}{self.words}{where}"
+def _holes(points: Sequence[XY], words: str, on_circle: bool = True) -> str:
+    """Return the row of equal holes at (x, y) [m]: number, description of one, and position on their circle."""
+    count = f"{len(points)} × " if len(points) > 1 else ""
+    degrees = (number(float(np.degrees(np.arctan2(y, x))) % 360.0) for x, y in points)
+    circle = 2 * float(np.hypot(*points[0]))
+    where = f", on ⌀{_mm(circle)} at {', '.join(f'{d}°' for d in degrees)}" if on_circle else ""
+    return f"{count}{words}{where}"
 
 
 def sensor_adapter_sheet(model: CadModel, part: CadPart) -> Canvas:
@@ -120,9 +108,9 @@ def sensor_adapter_sheet(model: CadModel, part: CadPart) -> Canvas:
     ring = a.tool.bolt_circle_d > 0.0
     head = f"⌀{_mm(bore)} through, ⌀{_mm(room)} from z = {_mm(a.tool.grip)} up"
     above = [
-        Holes(a.p_tool_screws, room, f"{head}{'' if ring else ', on the axis'}", ring),
-        Holes(a.p_ring_screws, screw_d, f"⌀{_mm(screw_d)} to z = {_mm(a.ring_hole_bottom)}{above_nut}"),
-        Holes([(a.peg_x, 0.0)], PEG_D, f"peg ⌀{_mm(PEG_D)} at x = {_mm(a.peg_x)}, top at z = {_mm(a.peg_top)}", False),
+        _holes(a.p_tool_screws, f"{head}{'' if ring else ', on the axis'}", ring),
+        _holes(a.p_ring_screws, f"⌀{_mm(screw_d)} to z = {_mm(a.ring_hole_bottom)}{above_nut}"),
+        f"peg ⌀{_mm(PEG_D)} at x = {_mm(a.peg_x)}, top at z = {_mm(a.peg_top)}",
     ]
     z0, z1 = a.nut_slot_z
     slot = (
@@ -130,14 +118,10 @@ def sensor_adapter_sheet(model: CadModel, part: CadPart) -> Canvas:
         f"about r = {_mm(a.ring_circle_d / 2 - a.nut_slot_reach)}"
     )
     slotted = f", the second a slot {_mm(a.dowel_d)} × {_mm(a.dowel_d + a.dowel_slot)} towards the first"
-    below = [
-        Holes(a.p_ring_screws, a.nut_slot_width, slot),
-        Holes(
-            a.p_dowels,
-            a.dowel_d,
-            f"⌀{_mm(a.dowel_d)}, {_mm(a.dowel_depth)} deep{slotted if len(a.p_dowels) > 1 else ''}",
-        ),
-    ][: 2 if a.p_dowels else 1]
+    below = [_holes(a.p_ring_screws, slot)]
+    if a.p_dowels:
+        blind = f"⌀{_mm(a.dowel_d)}, {_mm(a.dowel_depth)} deep"
+        below.append(_holes(a.p_dowels, f"{blind}{slotted if len(a.p_dowels) > 1 else ''}"))
     heights = [*_from_face(a.foot_height, a.cone_top, a.groove_floor, a.peg_top, a.body_top), (a.floor, a.body_top)]
     notes = [
         f"z = 0 rests on the sensor's tool face; the flat at x = {_mm(a.mark_x)} shows +x",
@@ -154,16 +138,15 @@ def sensor_adapter_sheet(model: CadModel, part: CadPart) -> Canvas:
 def clamp_ring_sheet(model: CadModel, part: CadPart) -> Canvas:
     """Return the sheet of the clamp ring."""
     a = model.adapter
-    hole_d = a.ring_screw.clearance_d
     notes = [
         "z = 0 rests on the sensor adapter's rim and presses the flange of the probe",
         "the wide end of the bore faces the tip",
         f"notch {_mm(a.ring_vent_width)} wide and {_mm(RING_VENT_HEIGHT)} high at +x across the underside",
         *_engraved(a.on_ring, "the top"),
     ]
-    holes = [Holes(a.p_ring_screws, hole_d, f"⌀{_mm(hole_d)} through")]
     return _disc(model, part, (0.0, a.ring_thickness), _from_face(a.ring_thickness),
-                 ([a.ring_bore_top_d, a.body_d], [a.ring_bore_d]), (holes, []), notes)  # fmt: skip
+                 ([a.ring_bore_top_d, a.body_d], [a.ring_bore_d]),
+                 ([_holes(a.p_ring_screws, f"⌀{_mm(a.ring_screw.clearance_d)} through")], []), notes)  # fmt: skip
 
 
 def flange_adapter_sheet(model: CadModel, part: CadPart) -> Canvas:
@@ -171,26 +154,25 @@ def flange_adapter_sheet(model: CadModel, part: CadPart) -> Canvas:
     p, bolt, screw = model.plate, model.plate.robot.screw, model.plate.mounting.screw
     spigot_d, spigot = p.robot.spigot
     width, length = p.robot.pin_slot
-    reach = p.robot.bolt_circle_d / 2
     grip = p.plate_top - p.counterbore_top
     above = [
-        Holes(p.p_bolts, bolt.clearance_d, f"⌀{_mm(bolt.clearance_d)} through"),
-        Holes(p.p_mounting_screws, screw.clearance_d, f"⌀{_mm(screw.clearance_d)} through"),
+        _holes(p.p_bolts, f"⌀{_mm(bolt.clearance_d)} through"),
+        _holes(p.p_mounting_screws, f"⌀{_mm(screw.clearance_d)} through"),
     ]
-    bore = f"counterbore ⌀{_mm(screw.counterbore_d)} from below, {_mm(grip)} of the plate above it"
-    below = [Holes(p.p_mounting_screws, screw.counterbore_d, bore)]
+    bore = f"counterbore ⌀{_mm(screw.counterbore_d)} , {_mm(grip)} of the plate above it"
+    below = [_holes(p.p_mounting_screws, bore)]
     fits = []
     if p.p_centring_pins:
         d, bottom = p.centring_hole
-        above.append(Holes(p.p_centring_pins, d, f"⌀{_mm(d)} down to z = {_mm(bottom)}"))
+        above.append(_holes(p.p_centring_pins, f"⌀{_mm(d)} down to z = {_mm(bottom)}"))
         fits.append(f"pins {_mm(CENTRING_PIN_D)} h8 enter by hand (assumed; drill if tight)")
     radial, across = TIE_SLOT
     beside = float(np.hypot(*np.mean(p.p_tie_slots, axis=0)))
     tie = f"slot {_mm(radial)} × {_mm(across)} through, at {_mm(beside)} along {number(p.cable_deg)}°"
-    above.append(Holes(p.p_tie_slots, across, f"{tie}, {_mm(TIE_APART)} apart across", False))
+    above.append(_holes(p.p_tie_slots, f"{tie}, {_mm(TIE_APART)} apart across", False))
     if width:
-        slot = f"slot {_mm(width)} × {_mm(length)} through, middle at x = {_mm(reach)}: pin of {_mm(p.robot.pin_d)}"
-        below.append(Holes([(reach, 0.0)], 0.0, slot, False))
+        middle = f"middle at x = {_mm(p.robot.bolt_circle_d / 2)}: pin of {_mm(p.robot.pin_d)}"
+        below.append(f"slot {_mm(width)} × {_mm(length)} through, {middle}")
     if spigot:
         fits.append(f"⌀{_mm(spigot_d)} enters ⌀{_mm(spigot_d + p.robot.spigot_play)} H7")
     (r0, r1), (v0, v1), (z0, z1) = p.cable_pocket
@@ -212,10 +194,10 @@ def _from_face(*heights: float) -> list[tuple[float, float]]:
 
 def _disc(
     model: CadModel, part: CadPart, z: tuple[float, float], heights: Sequence[tuple[float, float]],
-    diameters: tuple[list[float], list[float]], holes: tuple[list[Holes], list[Holes]], notes: list[str],
+    diameters: tuple[list[float], list[float]], holes: tuple[list[str], list[str]], notes: list[str],
 ) -> Canvas:  # fmt: skip
     """Return the sheet of a flat part; all in [m]: its lowest and highest z, the pairs of heights and the diameters
-    that are dimensioned above and below its section, and the holes that are seen from above and from below."""
+    that are dimensioned above and below its section, and the rows of the holes that are seen from above and below."""
     box = part.shape.BoundingBox()
     rim, low, high = max(box.xmax, -box.xmin, box.ymax), z[0] / MM, z[1] / MM
     scale = scale_for((2 * rim, high - low), (66.0, 60.0))
@@ -234,27 +216,15 @@ def _disc(
             section.dimension_u(-d / 2 / MM, d / 2 / MM, v, side * STACK * i, f"⌀{_mm(d)}")
     drop = STACK * len(diameters[1]) + 9.0
     section.caption("section in the plane y = 0, +x to the right", low, drop)
-    middle = section.at((0.0, low))[1] + drop + 18.0 + scale * rim
+    middle = section.at((0.0, low))[1] + drop + 10.0 + scale * rim
     views = [("from above", ABOVE, holes[0]), *([("from below", BELOW, holes[1])] if holes[1] else [])]
-    table: list[str] = []
-    for i, (name, direction, groups) in enumerate(views):
-        inward = (5.0 - 10.0 * i) * (len(views) - 1)
-        view = View(sheet, (WIDTH * (2 * i + 1) / (2 * len(views)) + inward, middle), scale)
+    for i, (name, direction, _) in enumerate(views):
+        view = View(sheet, (WIDTH * (2 * i + 1) / (2 * len(views)), middle), scale)
         view.outline(seen(part.shape, direction))
         view.cross(rim)
-        view.caption(f"{name}, +x to the right", -rim, 15.0)
-        labelled: list[complex] = []
-        numbered = list(enumerate(groups, len(table) + 1))
-        table += [f"{label}: {group.text}" for label, group in numbered]
-        for label, group in sorted(numbered, key=lambda entry: len(entry[1].points)):  # a single hole has no choice
-            # a hole on the axis is labelled towards -x
-            points = [(x / MM or -1e-6, (-y if direction is BELOW else y) / MM) for x, y in group.points]
-            view.holes(points, 0.6 * group.size / MM, group.on_circle)
-            rooms = [min((abs(float(np.angle(complex(*p) / q))) for q in labelled), default=np.pi) for p in points]
-            chosen = points[int(np.argmax(np.round(rooms, 6)))]  # in the direction farthest from other labels
-            labelled.append(complex(*chosen))
-            view.label(chosen, rim, str(label))
-    lines = [*table, *notes, *_accepted(model, part.name.replace("_", " "))]
+        view.caption(f"{name}, +x to the right", -rim, 8.0)
+    lines = [*(f"{name}: {row}" for name, _, table in views for row in table), *notes,
+             *_accepted(model, part.name.replace("_", " "))]  # fmt: skip
     rows = rows_of(lines, WIDTH - 2 * EDGE - 6.0)
     note(sheet, (EDGE + 6.0, BOTTOM - LINE * TEXT * len(rows)), rows)
     return sheet
@@ -295,8 +265,6 @@ def probe_sheet(model: CadModel, part: CadPart) -> Canvas:
         front.leader((-r, s), (-10.0 - scale * (rim / 2 - r), 5.0), words)
     side = "section in the plane y = 0" if g.cross_section.hollow else "from the front"
     front.caption(f"{side}, +x to the right", -thick, 20.0)
-    if not g.cross_section.full_round:
-        _halfway(model, part, sheet)
     _underside(model, part, sheet)
     return sheet
 
@@ -359,25 +327,6 @@ def _stations(model: CadModel, apart: float) -> Iterable[tuple[float, float, str
             yield s, r, words
 
 
-def _halfway(model: CadModel, part: CadPart, sheet: Canvas) -> None:
-    g = model.geometry
-    section, r = g.cross_section, float(g.radius_at(g.length / 2)) / MM
-    scale = scale_for((2 * r, 2 * r), (0.7 * SIDE_ROOM, 0.7 * SIDE_ROOM))
-    view = View(sheet, (SIDE_X, EDGE + 45.0), scale)
-    faces = cross_section(part.shape, g.length / 2 / MM)
-    view.section(faces)
-    view.outline([loop for loops in faces for loop in loops])
-    view.cross(r)
-    y = section.flatness * r
-    view.dimension_u(-r, r, y, STACK, f"{'' if section.flatness != 1.0 else '⌀'}{number(2 * r)}")
-    if section.hollow:
-        bore = section.bore_ratio * r
-        view.dimension_u(-bore, bore, -y, -STACK, f"⌀{number(2 * bore)}")
-    else:
-        view.dimension_v(-y, y, r, STACK, number(2 * y))
-    view.caption(f"section at s = {number(g.length / 2 / MM)}, {scale_text(scale)}", -y, 17.0)
-
-
 def _underside(model: CadModel, part: CadPart, sheet: Canvas) -> None:
     a, rim = model.adapter, model.geometry.flange.diameter / MM
     scale = scale_for((rim, rim), (SIDE_ROOM, SIDE_ROOM))
@@ -402,8 +351,7 @@ def _underside(model: CadModel, part: CadPart, sheet: Canvas) -> None:
         flat = probe.cross_section.flatness
         knots = "; ".join(f"{number(s)}:\u00a0{number(d)}{f' × {number(flat * d)}' if flat != 1.0 else ''}"
                           for s, d in probe.blunt_mm)  # fmt: skip
-        top, end = (EDGE + 8.0, y - scale * rim - 16.0) if probe.cross_section.full_round else (
-            y + 24.0 + LINE * SMALL * len(rows), BOTTOM)  # fmt: skip
+        top, end = EDGE + 8.0, y - scale * rim - 16.0
         size = SMALL
         while len(table := rows_of([f"every knot, s: ⌀ {knots}"], WIDTH - EDGE - left, size)) * LINE * size > end - top:
             size *= 0.95

@@ -43,7 +43,6 @@ FACE_PIECES = 8  #: Most pieces of a face: the kernel's quadrature over 80 is ac
 #: body is replaced by one with ruled faces for its facets.
 CHORD_MM, CHORD_RAD = 0.005, 0.05
 FLAT_MM = 1e-6  #: Largest distance of a face from its plane [mm], which covers round-off of the kernel.
-RING_MM = 1e-4  #: Largest distance of a ring of a curved probe from its plane [mm]: the splines are within that.
 
 
 def revolved(outline: Sequence[XY]) -> cq.Solid:
@@ -289,34 +288,6 @@ def mass_properties(shape: cq.Shape, density: float) -> MassProperties:
     volume = gprops.Mass() * MM**3
     p_com = np.array([centre.X(), centre.Y(), centre.Z()]) * MM
     return MassProperties(volume, density * volume, p_com, density * inertia * MM**5)
-
-
-def section_properties(solid: cq.Solid, T_base_section: Array, s: float) -> tuple[float, float, float]:
-    """Return area [m²] and second moments ∫y², ∫x² [m⁴] about the centroid of a solid's cut across its axis.
-
-    The faces are cut along their own coordinate lines: of a curved probe at v = s, of a straight one, whose faces are
-    ruled about the axis, at height s. A cut by a plane is not exact: through a cone of less than about 0.02° and
-    through an elliptic face the kernel fits a curve to 1e-5.
-
-    Args:
-        solid: the probe, in millimetres in the base frame.
-        T_base_section: pose of the section, (4, 4) [m].
-        s: its arclength [m].
-    """
-    lines, height = [], s / MM
-    for face in (face for face in solid.Faces() if face.geomType() != "PLANE"):
-        surface, (u, _, v0, v1) = BRep_Tool.Surface_s(face.wrapped), BRepTools.UVBounds_s(face.wrapped)
-        z0, z1 = (v0, v1) if _bends(face) else (surface.Value(u, v).Z() for v in (v0, v1))
-        if min(z0, z1) <= height < max(z0, z1):
-            curve = surface.VIso(v0 + (height - z0) / (z1 - z0) * (v1 - v0))
-            lines.append(cq.Edge(BRepBuilderAPI_MakeEdge(curve).Edge()).moved(location(T_base_section).inverse))
-            if max(abs(lines[-1].positionAt(t).z) for t in (0.0, 0.25, 0.5, 0.75)) > RING_MM:
-                raise CheckFailedError(f"the face at s = {height:g} mm is not drawn across the axis")
-    inside_out = sorted(cq.Wire.combine(lines), key=lambda wire: wire.BoundingBox().DiagonalLength)
-    gprops = GProp_GProps()
-    BRepGProp.SurfaceProperties_s(cq.Face.makeFromWires(inside_out[-1], inside_out[:-1]).wrapped, gprops)
-    matrix = gprops.MatrixOfInertia()
-    return gprops.Mass() * MM**2, matrix.Value(1, 1) * MM**4, matrix.Value(2, 2) * MM**4
 
 
 def _bends(face: cq.Face) -> bool:

@@ -1,11 +1,12 @@
 """Shaded pictures of parts, rendered without a graphics card, a display or a driver.
 
-Bodies and a camera give a PNG, the same bytes on every run. Filling and shading of triangles are compiled.
+Bodies and a camera give a PNG, the same bytes on every run. The filling of triangles is compiled.
 """
 
 import io
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -25,55 +26,33 @@ STEP_PX = 6.0  #: A depth step of this many pixels on an oblique face is drawn a
 # From the upper left front, in image axes: right, up, towards the eye (chosen by eye).
 LIGHT = (-0.40, 0.58, 0.71)
 AMBIENT, DIRECT = 0.58, 0.50
+SAMPLES = 2  #: Samples along each side of a pixel.
 
 
-@njit(cache=True, error_model="numpy")
-def _shade(slopes, colours, depth, owner, triangle, fine, normal, sums):  # type: ignore[no-untyped-def]  # noqa: C901
-    """Add the colour and opacity of each sample to its pixel: shaded, an outline, or nothing.
+def _shaded(slopes: Array, colours: Array, depth: Array, owner: NDArray[Any], triangle: NDArray[Any]) -> Array:
+    """Return colour and opacity of each sample: shaded, an outline, or nothing, (height, width, 4).
 
     Args:
         slopes: normal of each triangle at (0, 0) and its slopes along x and along y, (m, 3, 3).
         colours: of each body, with its opacity, (n, 4).
         depth, owner, triangle: of each sample, from `_fill`, (height, width).
-        fine: samples along each side of a pixel.
-        normal: of each sample, (height, width, 3); changed in place.
-        sums: of each pixel, (height / fine, width / fine, 4); changed in place.
     """
-    height, width = owner.shape
-    for y in range(height):
-        for x in range(width):
-            if owner[y, x] != BACKGROUND:
-                t = triangle[y, x]
-                for k in range(3):
-                    normal[y, x, k] = slopes[t, 0, k] + slopes[t, 1, k] * x + slopes[t, 2, k] * y
-    reach = max(1, fine // 2)
-    for y in range(height):
-        for x in range(width):
-            who = owner[y, x]
-            ink = False
-            for dy, dx in ((0, reach), (reach, 0)):  # next to another body, another face or a depth step
-                v, u = y + dy, x + dx
-                if v < height and u < width:
-                    if owner[v, u] != who:
-                        ink = True
-                    elif who != BACKGROUND:
-                        cos = 0.0
-                        for k in range(3):
-                            cos += normal[y, x, k] * normal[v, u, k]
-                        slant = max(abs(normal[y, x, 2]), abs(normal[v, u, 2]), 0.1)
-                        step = abs(depth[y, x] - depth[v, u]) > STEP_PX * fine / slant
-                        ink = ink or cos < CREASE_COS or step
-            light = 1.0
-            if who != BACKGROUND and not ink:
-                light = AMBIENT
-                for k in range(3):
-                    light += DIRECT * normal[y, x, k] * LIGHT[k]
-                light = max(light, AMBIENT)
-            if ink or who != BACKGROUND:
-                alpha = 1.0 if ink else colours[who, 3]
-                for k in range(3):
-                    sums[y // fine, x // fine, k] += alpha * (INK if ink else min(light * colours[who, k], 1.0))
-                sums[y // fine, x // fine, 3] += alpha
+    part = owner != BACKGROUND
+    (y, x), plane = np.nonzero(part), slopes[triangle[part]]
+    normal = np.zeros((*owner.shape, 3), dtype=np.float32)
+    normal[part] = plane[:, 0] + plane[:, 1] * x[:, None] + plane[:, 2] * y[:, None]
+    slant, ink = np.maximum(np.abs(normal[..., 2].astype(float)), 0.1), np.zeros(owner.shape, dtype=bool)
+    for here, beside in ((np.s_[:-1], np.s_[1:]), (np.s_[:, :-1], np.s_[:, 1:])):  # other body, other face, depth step
+        cos = (normal[here] * normal[beside]).sum(axis=2, dtype=float)
+        with np.errstate(invalid="ignore"):  # of the background's infinite depths
+            step = np.abs(depth[here] - depth[beside]) > STEP_PX * SAMPLES / np.maximum(slant[here], slant[beside])
+        ink[here] |= (owner[here] != owner[beside]) | (part[here] & ((cos < CREASE_COS) | step))
+    light = np.maximum(sum((DIRECT * normal[..., k].astype(float) * LIGHT[k] for k in range(3)), AMBIENT), AMBIENT)
+    sample = np.zeros((*owner.shape, 4))
+    sample[..., 3] = np.where(part, colours[owner, 3], 0.0)
+    sample[..., :3] = sample[..., 3:] * np.minimum(light[..., None] * colours[owner, :3], 1.0)
+    sample[ink] = (INK, INK, INK, 1.0)
+    return sample
 
 
 @njit(cache=True, error_model="numpy")
@@ -130,7 +109,6 @@ def _planes(corners: Array) -> tuple[Array, NDArray[np.int64], NDArray[np.int64]
 
 
 SMOOTH_RAD = 0.5  #: Facets that meet at a smaller angle are shaded as one round face.
-SAMPLES = 2  #: Samples along each side of a pixel.
 MARGIN = 0.03  #: Free margin, as a share of the picture's larger side.
 PALE = 0.3  #: Opacity of a part mounted earlier.
 
@@ -167,20 +145,20 @@ def render_body(part: CadPart) -> RenderBody:
     )
 
 
-@dataclass(frozen=True)
-class OrthographicCamera:
-    """A camera without perspective that looks at the axis; z of the sensor frame points up."""
+def camera_axes(azimuth_deg: float, elevation_deg: float) -> Array:
+    """Return the rows right, up, towards the eye of a camera without perspective, in the sensor frame, (3, 3).
 
-    azimuth_deg: float = 70.0  #: of the camera, about +z from +x.
-    elevation_deg: float = 22.0  #: of the camera above the horizontal.
+    Args:
+        azimuth_deg: of the camera, about +z from +x.
+        elevation_deg: of the camera above the horizontal.
+    """
+    a, e = np.radians([azimuth_deg, elevation_deg])
+    right = [-np.sin(a), np.cos(a), 0.0]
+    up = [-np.sin(e) * np.cos(a), -np.sin(e) * np.sin(a), np.cos(e)]
+    return np.array([right, up, np.cross(right, up)])
 
-    @property
-    def axes(self) -> Array:
-        """Return the rows right, up, towards the eye, in the sensor frame, (3, 3)."""
-        a, e = np.radians([self.azimuth_deg, self.elevation_deg])
-        right = [-np.sin(a), np.cos(a), 0.0]
-        up = [-np.sin(e) * np.cos(a), -np.sin(e) * np.sin(a), np.cos(e)]
-        return np.array([right, up, np.cross(right, up)])
+
+FROM_ABOVE = camera_axes(70.0, 22.0)  #: Camera of all pictures.
 
 
 @dataclass(frozen=True)
@@ -201,23 +179,23 @@ class ImageView:
 
 
 def fit_view(
-    bodies: Sequence[RenderBody], camera: OrthographicCamera, largest: tuple[int, int], below: float = np.inf
+    bodies: Sequence[RenderBody], largest: tuple[int, int], below: float = np.inf, axes: Array = FROM_ABOVE
 ) -> ImageView:
     """Return the view that shows the bodies as large as possible, in an image that is no larger than needed.
 
     Args:
         bodies: to be shown.
-        camera: that looks at them.
         largest: width and height [px].
         below: points above this z may be cut off [mm].
+        axes: of the camera, see `camera_axes`.
     """
     points = np.concatenate([body.corners.reshape(-1, 3) for body in bodies])
-    seen = points[points[:, 2] <= below] @ camera.axes.T
+    seen = points[points[:, 2] <= below] @ axes.T
     low, high = seen[:, :2].min(axis=0), seen[:, :2].max(axis=0)
     margin = MARGIN * max(largest)
     scale = float(min((np.array(largest) - 2 * margin) / (high - low)))
     width, height = np.ceil((high - low) * scale + 2 * margin).astype(int)
-    return ImageView(camera.axes, (low + high) / 2, scale, (int(width), int(height)))
+    return ImageView(axes, (low + high) / 2, scale, (int(width), int(height)))
 
 
 def render_bodies(bodies: Sequence[RenderBody], view: ImageView) -> tuple[NDArray[np.uint8], NDArray[np.int16]]:
@@ -240,9 +218,10 @@ def render_bodies(bodies: Sequence[RenderBody], view: ImageView) -> tuple[NDArra
     # normal at 0, its change along x and along y
     slopes = np.einsum("tij,tik->tjk", planes[:, :2], normals[:, 1:] - normals[:, :1])
     slopes[:, 0] += normals[:, 0]
-    normal = np.zeros((height, width, 3), dtype=np.float32)
+    sample = _shaded(slopes, colours, depth, owner, triangle)
     sums = np.zeros((view.size[1], view.size[0], 4), dtype=np.float32)
-    _shade(slopes, colours, depth, owner, triangle, SAMPLES, normal, sums)
+    for row, column in np.ndindex(SAMPLES, SAMPLES):
+        sums += sample[row::SAMPLES, column::SAMPLES]
     sums[..., :3] /= np.where(sums[..., 3:] > 0.0, sums[..., 3:], 1.0)
     sums[..., 3] /= SAMPLES**2
     middle = SAMPLES // 2
@@ -257,8 +236,3 @@ def png_bytes(pixels: NDArray[np.uint8], paper: bool = False) -> bytes:
         picture = Image.alpha_composite(Image.new("RGBA", picture.size, "white"), picture).convert("RGB")
     picture.quantize(255, dither=Image.Dither.NONE).save(file, "png", optimize=True)
     return file.getvalue()
-
-
-def render_png(bodies: Sequence[RenderBody], largest: tuple[int, int]) -> bytes:
-    """Return a PNG of the bodies on white paper, no larger than a width and height."""
-    return png_bytes(render_bodies(bodies, fit_view(bodies, OrthographicCamera(), largest))[0], paper=True)

@@ -3,6 +3,7 @@
 Paper in millimetres, y down. Points of the part are (u, v) in millimetres, v up.
 """
 
+import math
 import textwrap
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -70,28 +71,17 @@ def cut(shape: cq.Shape) -> tuple[Lines, list[Lines]]:
     return seen(half, FRONT), [[_loop(wire, [0, 2]) for wire in face.Wires()] for face in faces]
 
 
-def cross_section(shape: cq.Shape, z: float) -> list[Lines]:
-    """Return the closed outlines (x, y) of each face of a solid in the plane at height z [mm]."""
-    reach = 4.0 * shape.BoundingBox().DiagonalLength
-    plane = cq.Face.makePlane(reach, reach, cq.Vector(0.0, 0.0, z))
-    return [[_loop(wire, [0, 1]) for wire in face.Wires()] for face in shape.intersect(plane).Faces()]
-
-
 def _loop(wire: cq.Wire, axes: list[int]) -> Array:
     """Return two coordinates of a closed outline; its edges are in order, but of either orientation."""
     edges = [_points(edge)[:, axes] for edge in wire]
     if len(edges) == 1:
         return edges[0]
     first, second = edges[0], edges[1]
-    turn = min(_gap(first[-1], second[0]), _gap(first[-1], second[-1])) > SAME_MM
+    turn = min(math.dist(first[-1], end) for end in second[[0, -1]]) > SAME_MM
     line = [first[::-1] if turn else first]
     for edge in edges[1:]:
-        line.append(edge if _gap(line[-1][-1], edge[0]) < _gap(line[-1][-1], edge[-1]) else edge[::-1])
+        line.append(edge if math.dist(line[-1][-1], edge[0]) < math.dist(line[-1][-1], edge[-1]) else edge[::-1])
     return np.concatenate(line)
-
-
-def _gap(a: Array, b: Array) -> float:
-    return float(np.hypot(*(a - b)))
 
 
 def _points(edge: cq.Edge) -> Array:
@@ -190,23 +180,6 @@ class View:
         """Draw both axes of a round view of that half-width [mm of the part]."""
         self.axis(-half, half)
         self.axis(-half, half, upright=False)
-
-    def holes(self, points: Sequence[XY], arm: float, on_circle: bool) -> None:
-        """Draw a centre mark with arms of a length [mm of the part] on each hole, and the circle that they share."""
-        self.sheet.polylines([[self.at((u - arm, v)), self.at((u + arm, v))] for u, v in points]
-                             + [[self.at((u, v - arm)), self.at((u, v + arm))] for u, v in points], THIN)  # fmt: skip
-        if on_circle:
-            radius = self.scale * float(np.hypot(*points[0]))
-            self.sheet.circle(self.at((0.0, 0.0)), radius, colour="#000", width=THIN, dashes=CHAIN)
-
-    def label(self, p: XY, out_to: float, words: str) -> None:
-        """Draw a label outside the part with a line to a hole; `out_to` is the radius of the part [mm]."""
-        outward = np.array(p) / max(float(np.hypot(*p)), 1e-9)
-        u, v = outward * (out_to + 6.0 / self.scale)
-        x, y = self.at((u + 2.8 * outward[0] / self.scale, v + 2.8 * outward[1] / self.scale))
-        self.sheet.polylines([[self.at(p), self.at((u, v))]], THIN)
-        self.sheet.circle((x, y), 2.8, fill="#fff", colour="#000", width=THIN)
-        self.sheet.text((x, y + 1.15), words, TEXT, bold=True)
 
     def dimension_u(self, u0: float, u1: float, from_v: float, offset: float, words: str) -> None:
         """Draw a dimension along u, `offset` above (+) or below (-) v [mm of paper]."""

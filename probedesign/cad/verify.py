@@ -1,10 +1,9 @@
 """Verify the CAD model against the mechanics and for assembly.
 
-Solids, cross-sections, meshes and packages are compared with closed forms; parts must not overlap or enter the sensor's
-clearance; every screw, nut and pin must reach its place, and a hexagon key every screw, past the parts mounted before.
+Solids and meshes are compared with closed forms; parts must not overlap or enter the sensor's clearance; every screw,
+nut and pin must reach its place, and a hexagon key every screw, past the parts mounted before.
 """
 
-from itertools import combinations
 from typing import Any
 
 import cadquery as cq
@@ -12,33 +11,28 @@ import numpy as np
 import trimesh
 
 from probedesign.cad.documents import assembly_steps
-from probedesign.cad.kernel import block, cylinder, hexagon, placed, revolved, section_properties
+from probedesign.cad.kernel import block, cylinder, hexagon, placed, revolved
 from probedesign.cad.mesh import MESH_LIMIT, volume_omitted
-from probedesign.cad.model import CadModel, CadPart, volume_inside
-from probedesign.cad.packages import PackedPart, read_back
+from probedesign.cad.model import CadModel, volume_inside
 from probedesign.cad.solids import ScrewGroup, cable_sector, clearance_volumes
 from probedesign.core.errors import CheckFailedError
-from probedesign.core.frames import Array, pose
+from probedesign.core.frames import pose
 from probedesign.core.units import MM
-from probedesign.design.catalog import Printer
-from probedesign.geometry import ProbeGeometry
 from probedesign.geometry.mass import combined, flexible_part
-from probedesign.mount import FlangeAdapter, SensorAdapter, mount_mass_properties, mount_part_masses
+from probedesign.mount import SensorAdapter, mount_mass_properties, mount_part_masses
 from probedesign.mount.engraving import XY
 from probedesign.mount.tolerance_stack import tolerance_stacks
-from probedesign.printing.check import BETWEEN, RAFT_MARGIN
 
 CORRIDOR = 60.0 * MM  #: Length of the corridors of nuts and pins around the adapter, which lies free on the bench.
 
 
-def blocked_tools(
-    parts: dict[str, CadPart], screws: list[ScrewGroup], adapter: SensorAdapter, plate: FlangeAdapter
-) -> dict[str, float]:
+def blocked_tools(model: CadModel) -> dict[str, float]:
     """Return the obstruction of each group of screws, nuts and pins, and of the ring.
 
     Returns:
         By name, the volume [m³] of earlier parts in the corridors of the fastener and of its key; zero if it is free.
     """
+    parts, screws, adapter = model.parts, model.screws, model.adapter
     tip = float(parts["probe"].placed.BoundingBox().zmax) * MM
     pin, ring_bottom = adapter.dowels, (adapter.ring_top, tip)
     corridors: dict[str, list[cq.Shape]] = {
@@ -51,7 +45,7 @@ def blocked_tools(
     }
     blocked: dict[str, float] = {}
     present = ["sensor"]
-    for step in assembly_steps(screws, adapter, plate):
+    for step in assembly_steps(model):
         there = list(dict.fromkeys(move.onto for move in step.moves)) if step.on_bench else present
         for name in step.parts:
             if name in corridors and name not in blocked:
@@ -89,15 +83,11 @@ SOLID_LIMIT = 1e-9  #: Relative. The kernel integrates these surfaces to about 1
 #: Relative, of bodies with a curved axis: rings between those of the splines are too small by 2e-8, and the kernel
 #: integrates many of them to about 1e-6.
 CURVED_LIMIT = 1e-5
-SECTION_LIMIT = 1e-6  #: Relative, for cross-sections.
 OVERLAP_LIMIT = 0.0  #: Shared volume [m³]: touching faces share none, and no fit is drawn compressed.
-STATIONS = 9
 
 
-def verify(
-    model: CadModel, meshes: dict[str, trimesh.Trimesh], packed: dict[str, list[PackedPart]], packages: dict[str, bytes]
-) -> Findings:
-    """Check a CAD model, its meshes as drawn and its 3MF packages as printed.
+def verify(model: CadModel, meshes: dict[str, trimesh.Trimesh]) -> Findings:
+    """Check a CAD model and its meshes as drawn.
 
     Returns:
         Each finding by name, with `measured`, `limit`, `ok` and `what`.
@@ -105,19 +95,14 @@ def verify(
     Raises:
         CheckFailedError: names every finding that is not ok.
     """
-    findings = {
-        **_solids(model),
-        **_sections(model),
-        **mesh_findings(model, meshes),
-        **_packages(model.design.printer, packed, packages),
-        **room_findings(model),
-    }
+    findings = {**solid_findings(model), **mesh_findings(model, meshes), **room_findings(model)}
     for stack in tolerance_stacks(model.adapter, model.plate):
         what = f"m outside the limits at the worst corner: {stack.what}"
         findings[f"{stack.name}_worst_case"] = _finding(stack.outside, 0.0, what)
-    blocked = blocked_tools(model.parts, model.screws, model.adapter, model.plate)
     what = "m³ of earlier parts in the corridors of the fastener and its key"
-    findings |= {f"reach_{name}": _finding(volume, OVERLAP_LIMIT, what) for name, volume in blocked.items()}
+    findings |= {
+        f"reach_{name}": _finding(volume, OVERLAP_LIMIT, what) for name, volume in blocked_tools(model).items()
+    }
     return checked(model.design.name, findings)
 
 
@@ -133,7 +118,8 @@ def checked(name: str, findings: Findings) -> Findings:
     return findings
 
 
-def _solids(model: CadModel) -> Findings:
+def solid_findings(model: CadModel) -> Findings:
+    """Return how far volume, centre and inertia of the solids are from their closed forms."""
     geometry, adapter = model.geometry, model.adapter
     density = model.design.density.value
     drawn = dict(model.bodies)
@@ -157,72 +143,15 @@ def _solids(model: CadModel) -> Findings:
     return findings
 
 
-def _sections(model: CadModel) -> Findings:
-    geometry, solid = model.geometry, model.parts["probe"].shape
-    formulae = {
-        "section_area": ProbeGeometry.area_at,
-        "section_second_moment_xx": ProbeGeometry.second_moment_xx_at,
-        "section_second_moment_yy": ProbeGeometry.second_moment_yy_at,
-    }
-    stations = _stations(geometry)
-    frames = geometry.axis.frames(stations)
-    drawn = np.array([section_properties(solid, T, s) for T, s in zip(frames, stations, strict=True)])
-    wanted = np.column_stack([formula(geometry, stations) for formula in formulae.values()])
-    worst = np.abs(drawn / wanted - 1.0).max(axis=0)
-    what = f"relative, worst of {STATIONS} slices of the solid"
-    return {name: _finding(w, SECTION_LIMIT, what) for name, w in zip(formulae, worst, strict=True)}
-
-
-def _stations(geometry: ProbeGeometry) -> list[float]:
-    even = (np.arange(STATIONS) + 0.5) / STATIONS * geometry.length
-    gaps = np.diff(geometry.s)
-    i = np.clip(np.searchsorted(geometry.s, even, side="right") - 1, 0, len(gaps) - 1)
-    clear = 0.01 * gaps[i]
-    return [float(s) for s in np.clip(even, geometry.s[i] + clear, geometry.s[i + 1] - clear)]
-
-
 def mesh_findings(model: CadModel, meshes: dict[str, trimesh.Trimesh]) -> Findings:
     """Return whether meshes are closed, and what they omit of their solids."""
     findings: Findings = {}
     for name, mesh in meshes.items():
         omitted = volume_omitted(mesh, model.parts[name].body.volume)
-        findings[f"{name}_mesh_closed"] = _flag(mesh.is_volume, "watertight, consistent winding, outward normals")
+        what = "watertight, consistent winding, outward normals (0 is yes)"
+        findings[f"{name}_mesh_closed"] = _finding(float(not mesh.is_volume), 0.0, what)
         findings[f"{name}_mesh_volume"] = _finding(omitted, MESH_LIMIT, "relative, to the solid")
     return findings
-
-
-def _packages(printer: Printer, packed: dict[str, list[PackedPart]], packages: dict[str, bytes]) -> Findings:
-    findings: Findings = {}
-    for file, wanted in packed.items():
-        read, warnings = read_back(packages[file])
-        named = [(p.name, p.part_number) for p in read] == [(p.name, p.part_number) for p in wanted]
-        pairs = list(zip(read, wanted, strict=False))
-        lost = sum(abs(len(a.mesh.faces) - len(b.mesh.faces)) for a, b in pairs)
-        worst = max((abs(a.mesh.volume / b.mesh.volume - 1.0) for a, b in pairs), default=np.inf)
-        findings |= {
-            f"{file}_warnings": _finding(warnings, 0.0, "of a strict reader"),
-            f"{file}_names": _flag(named, "its objects, their names and part numbers survive"),
-            f"{file}_triangles": _finding(lost, 0.0, "difference to the meshes"),
-            # 3MF stores truncated decimals.
-            f"{file}_volume": _finding(worst, 1e-5, "relative, to the meshes"),
-            f"{file}_layout": _flag(
-                all(np.allclose(a.T_platform_part, b.T_platform_part, atol=1e-3) for a, b in pairs)
-                and _laid_out([part.bounds for part in read], printer),
-                "parts in the orientation of the print check, apart, on the platform and inside of its margin",
-            ),
-        }
-    return findings
-
-
-def _laid_out(boxes: list[Array], printer: Printer) -> bool:
-    """Return whether parts stand on the platform, apart and inside of its margin; one that is wider than the platform,
-    which the print check reports, may be outside."""
-    gap, sides = 0.9 * BETWEEN, np.array(printer.build_volume_mm[:2])
-    apart = all(((a[0] - b[1])[:2] > gap).any() or ((b[0] - a[1])[:2] > gap).any() for a, b in combinations(boxes, 2))
-    room = np.maximum(sides, [box[1, :2] - box[0, :2] + 2.0 * RAFT_MARGIN for box in boxes]) - RAFT_MARGIN
-    inside = all((box[1, :2] <= most + 0.01).all() and (box[0, :2] >= sides - most - 0.01).all()
-                 for box, most in zip(boxes, room, strict=True))  # fmt: skip
-    return apart and inside and all(abs(box[0, 2]) < 0.01 for box in boxes)
 
 
 def room_findings(model: CadModel) -> Findings:
@@ -244,7 +173,3 @@ def room_findings(model: CadModel) -> Findings:
 
 def _finding(measured: float, limit: float, what: str) -> dict[str, Any]:
     return {"measured": float(measured), "limit": limit, "ok": bool(measured <= limit), "what": what}
-
-
-def _flag(ok: bool, what: str) -> dict[str, Any]:
-    return _finding(0.0 if ok else 1.0, 0.0, f"{what} (0 is yes)")

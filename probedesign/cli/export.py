@@ -124,9 +124,8 @@ def _print(manifest: dict[str, Any]) -> None:
             **{use: ", ".join(names) for use, names in files.items() if names},
             "geometry": manifest["fingerprint"],
             "mass": f"{1e3 * whole['mass_kg']:.3g} g on the sensor",
-            "base": f"{1e3 * manifest['T_sensor_base'][2][3]:.2f} mm above the tool face; "
-            f"{manifest['base']['held_by']}",
-            "checks": f"{sum(c['ok'] for c in checks.values())} of {len(checks)} passed (solids, slices and meshes "
+            "base": f"{1e3 * manifest['T_sensor_base'][2][3]:.2f} mm above the tool face",
+            "checks": f"{sum(c['ok'] for c in checks.values())} of {len(checks)} passed (solids and meshes "
             "against the formulae)",
             "assumed": assumed_text(manifest["assumptions"]),
         }
@@ -149,7 +148,7 @@ def _print(manifest: dict[str, Any]) -> None:
         low, high = screw["entry_allowed_mm"]
         entry = f"depth {screw['entry_mm']:g} mm (allowed: {low:g} ... {high:g} mm)"
         print(f"  {screw['count']} x {screw['screw']:<16} into {screw['into']}: {entry}")
-    print("other parts:", ", ".join(f"{count} x {part}" for part, count in manifest["also_needed"].items()))
+    print("nuts, pins and all other parts: bill_of_materials.csv")
 
 
 def deploy(design: DesignFile, /, *, out: Path | None = None, as_json: JsonOutput = False) -> None:

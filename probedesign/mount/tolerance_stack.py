@@ -294,7 +294,7 @@ def measurements(a: SensorAdapter, plate: FlangeAdapter) -> list[Measurement]:
              "thinner: print it again; thicker: print it again, never take a longer screw"),
         ]  # fmt: skip
     recess, groove, flange = a.body_top - a.floor, a.groove, a.flange.thickness
-    rigid, soft, decided = length_tolerance(recess), length_tolerance(flange), "decided by the difference below"
+    rigid, soft, decided = length_tolerance(recess), length_tolerance(flange), "flange minus recess decides"
     rows += [
         ("sensor adapter: depth of the recess, to its land", recess, recess - rigid, recess + rigid, decided),
         ("sensor adapter: depth of the groove around the land, after its resin was cleared",

@@ -2,6 +2,7 @@
 
 import fcntl
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +10,7 @@ import pytest
 
 from probedesign.core.files import write_atomically
 from probedesign.design import Design, parse_design
+from probedesign.mount import Mount
 
 LARGE = "length_mm = 150.0\nbase_d_mm = 12.0\ntip_d_mm = 2.0"
 
@@ -24,6 +26,16 @@ def large() -> Any:
     from probedesign.cad.model import build_cad
 
     return build_cad(design_of())
+
+
+def with_probe(large: Any, design: Design) -> Any:
+    """The drawn parts with the probe of another design instead, for what looks at the probe alone."""
+    from probedesign.cad.solids import probe_solid
+
+    mount = Mount.of(design)
+    probe = replace(large.parts["probe"], shape=probe_solid(mount.geometry, mount.sensor_adapter))
+    return replace(large, design=design, geometry=mount.geometry, adapter=mount.sensor_adapter,
+                   parts={**large.parts, "probe": probe}, fingerprints=mount.fingerprints)  # fmt: skip
 
 
 @pytest.fixture(scope="session")

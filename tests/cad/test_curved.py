@@ -15,7 +15,7 @@ import trimesh
 from probedesign import new
 from probedesign.cad import export_part, export_parts
 from probedesign.cad.exchange import step_bytes
-from probedesign.cad.kernel import mass_properties, section_properties
+from probedesign.cad.kernel import mass_properties
 from probedesign.cad.mesh import tessellate
 from probedesign.cad.solids import probe_solid
 from probedesign.core.errors import InputError
@@ -37,7 +37,7 @@ PROFILE = (
 )
 HOLLOW = 'section = "hollow"\nbore_ratio = 0.5\nlength_mm = 150.0\nbase_d_mm = 12.0\ntip_d_mm = 6.0\n'
 ELLIPTIC = 'section = "elliptic"\nflatness = 0.6\nlength_mm = 150.0\nbase_d_mm = 12.0\ntip_d_mm = 4.0\n'
-PROBES = {"arc": PROFILE + ARC, "hollow arc": HOLLOW + ARC, "elliptic helix": ELLIPTIC + HELIX, "knots": CONE + KNOTS}
+PROBES = {"arc": PROFILE + ARC, "elliptic helix": ELLIPTIC + HELIX, "hollow, knots": HOLLOW + KNOTS}
 
 
 @pytest.fixture(scope="module", params=PROBES)
@@ -92,11 +92,6 @@ def test_the_surface_read_from_step_lies_on_the_tube_between_the_knots_and_at_ki
     for side in (0.3, 2.5, 4.4):
         away = [shell.distance(cq.Vertex.makeVertex(*p)) for p in 1e3 * surface(g, s, side)]
         assert max(away) < 1e-3  # a micrometre: the splines are within 0.1 µm
-    area, xx, yy = section_properties(read, g.axis.frames([0.31 * g.length])[0], 0.31 * g.length)
-    # A ring between those of the spline is too small by 2e-8, where the curvature changes by 1e-7.
-    assert area == pytest.approx(g.area_at(0.31 * g.length), rel=1e-6)
-    assert xx == pytest.approx(g.second_moment_xx_at(0.31 * g.length), rel=1e-6)
-    assert yy == pytest.approx(g.second_moment_yy_at(0.31 * g.length), rel=1e-6)
 
 
 def test_the_mesh_is_closed_and_close_to_the_solid(drawn: tuple[Mount, cq.Solid, cq.Solid]) -> None:

@@ -7,6 +7,7 @@ import re
 import subprocess
 import sys
 from collections import Counter
+from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -22,9 +23,10 @@ import trimesh
 
 from probedesign import cad
 from probedesign.cad import export_parts
-from probedesign.cad.documents import Documents
 from probedesign.cad.exchange import reproducible, step_bytes
+from probedesign.cad.inspection import probe_sheet
 from probedesign.cad.kernel import location
+from probedesign.cad.mesh import part_stl, tessellate
 from probedesign.cad.model import CadModel
 from probedesign.cli.export import FILE_KINDS
 from probedesign.core.errors import InputError, MissingDependencyError
@@ -33,14 +35,13 @@ from probedesign.frozen_probe import freeze
 from probedesign.geometry.mass import MassProperties, combined, flexible_part
 from probedesign.mount import Mount, build_geometry, mount_mass_properties, sensor_adapter_for
 from probedesign.probe import build_probe
-from tests.cad.conftest import LARGE, design_of
+from tests.cad.conftest import LARGE, design_of, with_probe
 
 FILES = {
     "probe.stl", "sensor_adapter.stl", "clamp_ring.stl", "flange_adapter.stl",
     "probe.step", "sensor_adapter.step", "clamp_ring.step", "flange_adapter.step",
     "assembly.step", "assembly.glb", "probe.3mf", "adapters.3mf", "manifest.json",
     "probe.svg", "sensor_adapter.svg", "clamp_ring.svg", "flange_adapter.svg",
-    "probe.png", "sensor_adapter.png", "clamp_ring.png", "flange_adapter.png",
     "assembly.png", "exploded.svg", "assembly.html", "bill_of_materials.csv",
 }  # fmt: skip
 
@@ -78,8 +79,6 @@ def test_manifest_describes_the_export(exported: Exported) -> None:
     prints = manifest["fingerprints"]
     assert prints == Mount.of(design_of()).fingerprints and prints["probe"] == manifest["fingerprint"]
     assert len(set(prints.values())) == 5  # four parts and the payload
-    engraved = {part: f"{prints[part]} large" for part in manifest["parts"]}
-    assert manifest["engraved"] == engraved | {"probe": manifest["fingerprint"][:5]}
     assert manifest["clamp"]["pressed_share"] == pytest.approx(0.8, abs=0.005)
     check = manifest["print_check"]
     assert check["ok"] and check["errors"] == 0 and check["warnings"] == len(check["findings"])
@@ -214,26 +213,64 @@ def matrix_of(place: cq.Location) -> np.ndarray:
     return np.array([[transform.Value(i, j) for j in range(1, 5)] for i in range(1, 4)])
 
 
-PROBES = {
-    "large": LARGE,
+OTHERS = {
     "hollow": LARGE + '\nsection = "hollow"\nbore_ratio = 0.5',
     "elliptic": LARGE + '\nsection = "elliptic"\nflatness = 0.6',
 }
 
 
-@pytest.fixture(scope="module", params=["hollow", "elliptic"])
-def other_section(request: Any, tmp_path_factory: pytest.TempPathFactory) -> tuple[str, Path, dict[str, Any]]:
-    """The probe with another section, exported: section, folder and manifest; `test_parts.py` verifies sections."""
-    folder = tmp_path_factory.mktemp("exports") / "other"
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("probedesign.cad.export.verify", lambda *_: {})
-        return request.param, folder, export_parts(design_of(PROBES[request.param]), folder)
+def files_of(probe: str, large: CadModel) -> dict[str, bytes]:
+    """The files of the probe of another section."""
+    design = design_of(probe)
+    model = with_probe(large, design)
+    part = model.parts["probe"]
+    step = step_bytes(cq.Assembly(part.shape, name="probe"), "probe.step", "", None)
+    mesh, sheet = tessellate(part.shape), bytes(probe_sheet(model, part))
+    return {"stl": part_stl(design, "probe", mesh, "0"), "step": step, "svg": sheet}
 
 
-def test_files_of_other_sections(other_section: tuple[str, Path, dict[str, Any]]) -> None:
-    section, folder, manifest = other_section
+@pytest.fixture(scope="module")
+def exported_again(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The probe exported, and files of others, by another process with another seed of Python's hashes.
+
+    Nothing else is printed on stdout, which is reserved for `--json`: the kernel would print there.
+    """
+    folder = tmp_path_factory.mktemp("again")
+    code = (
+        "import sys; from pathlib import Path; from probedesign.cad.export import export_parts;"
+        "from probedesign.cad.model import build_cad; from tests.cad import test_export;"
+        "folder, design = Path(sys.argv[1]), test_export.design_of()\n"
+        "export_parts(design, folder / 'large', lambda step: print(step, file=sys.stderr))\n"
+        "for name, probe in test_export.OTHERS.items():\n"
+        "    for kind, content in test_export.files_of(probe, build_cad(design)).items():\n"
+        "        (folder / f'{name}.{kind}').write_bytes(content)"
+    )
+    result = subprocess.run(
+        [sys.executable, "-c", code, str(folder)],
+        env={**os.environ, "PYTHONHASHSEED": "12345"}, cwd=Path(__file__).parents[2],
+        check=True, capture_output=True, text=True,
+    )  # fmt: skip
+    assert result.stdout == "" and result.stderr.splitlines().count("meshing") == 1
+    return folder
+
+
+def test_exports_are_reproducible(exported: Exported, exported_again: Path) -> None:
+    """Every file, manifest included, has the same bytes."""
+    again = exported_again / "large"
+    assert {path.name for path in again.iterdir()} == FILES
+    for path in again.iterdir():
+        assert path.read_bytes() == (exported[0] / path.name).read_bytes(), path.name
+
+
+@pytest.mark.parametrize("section", OTHERS)
+def test_files_of_other_sections_are_right_and_reproducible(
+    section: str, large: CadModel, exported_again: Path
+) -> None:
+    """The kernel keeps one of two coincident vertices by its address, which differs between processes."""
+    for kind, content in files_of(OTHERS[section], large).items():
+        assert content == (exported_again / f"{section}.{kind}").read_bytes(), kind
     thickness = 6.0 if section == "hollow" else 3.6
-    mesh = trimesh.load(folder / "probe.stl")
+    mesh = trimesh.load(exported_again / f"{section}.stl")
     assert mesh.is_watertight and mesh.is_winding_consistent
     above = mesh.vertices[mesh.vertices[:, 2] > -1e-3]
     near = above[np.hypot(above[:, 0], above[:, 1]) < 6.1]  # without the flange's rim
@@ -241,16 +278,21 @@ def test_files_of_other_sections(other_section: tuple[str, Path, dict[str, Any]]
     assert abs(near[:, :2]).max(axis=0) == pytest.approx([6.0, thickness], abs=1e-5)
     # A hollow body has a handle: its surface is that of a torus. The clocking mark is another one.
     assert mesh.euler_number == (2 - 2 * 2 if section == "hollow" else 2 - 2 * 1)
-    solids = cq.importers.importStep(str(folder / "assembly.step")).solids().vals()
-    wanted = manifest["parts"]["probe"]["volume_m3"] * 1e9
+    (solid,) = cq.importers.importStep(str(exported_again / f"{section}.step")).solids().vals()
     # STEP writes some fifteen digits; kernel and file agree to about 1e-12.
-    assert min(abs(solid.Volume() / wanted - 1.0) for solid in solids) < 1e-9
+    wanted = with_probe(large, design_of(OTHERS[section])).parts["probe"].shape.Volume()
+    assert solid.Volume() == pytest.approx(wanted, rel=1e-9)
 
 
-@pytest.mark.usefixtures("undocumented")
-def test_scale_compensation_reaches_the_files_to_print_and_nothing_else(exported: Exported, tmp_path: Path) -> None:
-    scaled = f"{LARGE}\n[print]\nscale_xy = 1.02\nscale_z = 0.99\nrigid_scale_xy = 1.01\n"
-    (folder, drawn), printed = exported, export_parts(design_of(scaled), tmp_path / "printed")
+def test_scale_compensation_reaches_the_files_to_print_and_nothing_else(
+    exported: Exported, large: CadModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scaled = design_of(f"{LARGE}\n[print]\nscale_xy = 1.02\nscale_z = 0.99\nrigid_scale_xy = 1.01\n")
+    assert Mount.of(scaled).fingerprints == large.fingerprints  # the drawn parts are those of the design
+    for name, value in {"build_cad": replace(large, design=scaled), "verify": {}, "cad_files": {},
+                        "build_documents": ({}, [])}.items():  # fmt: skip
+        monkeypatch.setattr(f"probedesign.cad.export.{name}", lambda *_, value=value: value)
+    (folder, drawn), printed = exported, export_parts(scaled, tmp_path / "printed")
     for name, factor in (("probe", (1.02, 1.02, 0.99)), ("clamp_ring", (1.01, 1.01, 1.0))):
         a, b = (trimesh.load(parent / f"{name}.stl") for parent in (folder, tmp_path / "printed"))
         # Both are written in single precision, 150 mm to half of 1.5e-5 mm.
@@ -264,50 +306,6 @@ def test_scale_compensation_reaches_the_files_to_print_and_nothing_else(exported
     assert package.bounds[1][2] - package.bounds[0][2] == pytest.approx(0.99 * 153.0, abs=1e-4)
     for untouched in ("fingerprint", "parts", "mass", "T_sensor_base", "screws"):
         assert printed[untouched] == drawn[untouched]
-    # A package has the scaled mesh in decimals: what they change of its volume has a limit of its own, 1e-5.
-    first, second = ({name: finding for name, finding in manifest["verification"].items()
-                      if not name.endswith(".3mf_volume")} for manifest in (printed, drawn))  # fmt: skip
-    assert first == second and set(printed["verification"]) == set(drawn["verification"])
-
-
-@pytest.fixture(scope="module")
-def exported_again(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The probes exported by another process with another seed of Python's hashes, a folder each.
-
-    Nothing else is printed on stdout, which is reserved for `--json`: the kernel would print there.
-    """
-    folder = tmp_path_factory.mktemp("again")
-    code = (
-        "import json, sys; from pathlib import Path; from tests.cad.conftest import design_of;"
-        "from probedesign.cad import export;"
-        "progress = lambda step: print(step, file=sys.stderr)\n"
-        "for name, probe in json.loads(sys.argv[2]).items():\n"
-        "    export.export_parts(design_of(probe), Path(sys.argv[1]) / name, progress)\n"
-        "    export.verify = lambda *_: {}"  # once verified
-    )
-    result = subprocess.run(
-        [sys.executable, "-c", code, str(folder), json.dumps(PROBES)],
-        env={**os.environ, "PYTHONHASHSEED": "12345"}, cwd=Path(__file__).parents[2],
-        check=True, capture_output=True, text=True,
-    )  # fmt: skip
-    assert result.stdout == "" and result.stderr.splitlines().count("meshing") == len(PROBES)
-    return folder
-
-
-def test_exports_are_reproducible(exported: Exported, exported_again: Path) -> None:
-    """Every file, manifest included, has the same bytes."""
-    again = exported_again / "large"
-    assert {path.name for path in again.iterdir()} == FILES
-    for path in again.iterdir():
-        assert path.read_bytes() == (exported[0] / path.name).read_bytes(), path.name
-
-
-def test_other_sections_are_reproducible(other_section: tuple[str, Path, dict[str, Any]], exported_again: Path) -> None:
-    """The kernel keeps one of two coincident vertices by its address, which differs between processes."""
-    section, folder, _ = other_section
-    assert {path.name for path in folder.iterdir()} == FILES
-    for path in folder.iterdir():
-        assert path.read_bytes() == (exported_again / section / path.name).read_bytes(), path.name
 
 
 def test_a_step_file_does_not_depend_on_the_order_in_which_the_kernel_writes_styles() -> None:
@@ -322,42 +320,6 @@ def test_a_step_file_does_not_depend_on_the_order_in_which_the_kernel_writes_sty
     files = [f"HEADER;\n#9 = SHAPE();\n{one}#103 = RGB(0.5);\n{two}ENDSEC;\nEND;\n" for one, two in (blocks, swapped)]
     assert reproducible(files[0]) == reproducible(files[1])
     assert reproducible(files[0]).count("#20") == 1 and "#9 = SHAPE" in reproducible(files[0])
-
-
-@pytest.fixture
-def undocumented(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Leave out pictures and pages, which take seconds and have tests of their own."""
-    monkeypatch.setattr("probedesign.cad.export.build_documents", lambda *_: Documents({}, [], []))
-
-
-@pytest.fixture
-def drawn_before(undocumented: None, large: CadModel, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Leave out the drawing and the verification too, where the written folder alone is tested."""
-    monkeypatch.setattr("probedesign.cad.export.build_cad", lambda _: large)
-    monkeypatch.setattr("probedesign.cad.export.verify", lambda *_: {})
-
-
-@pytest.mark.usefixtures("drawn_before")
-def test_foreign_files_and_an_older_export_survive(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def interrupt(*_: Any) -> None:
-        assert any(tmp_path.rglob("probe.stl"))  # half of the files are there already
-        raise KeyboardInterrupt
-
-    folder = tmp_path / "large"
-    folder.mkdir()
-    ours, foreign = folder / "manifest.json", folder / "large.probe.json"
-    for path in (ours, foreign):
-        path.write_text("earlier")
-    with monkeypatch.context() as context:
-        context.setattr("probedesign.cad.folder.manifest_json", interrupt)
-        with pytest.raises(KeyboardInterrupt):
-            export_parts(design_of(), folder)
-    assert sorted(tmp_path.rglob("*")) == sorted([folder, ours, foreign])
-    assert ours.read_text() == foreign.read_text() == "earlier"
-    export_parts(design_of(), folder)
-    made = json.loads(ours.read_text("utf-8"))
-    assert {p.name for p in folder.iterdir()} == {*made["files"], ours.name, foreign.name}
-    assert foreign.read_text() == "earlier" and made["name"] == "large"
 
 
 def test_a_target_that_cannot_be_written_is_one_line(tmp_path: Path) -> None:

@@ -49,10 +49,14 @@ def test_a_killed_process_leaves_the_older_export_and_a_hidden_folder(tmp_path: 
 
 
 @posix
-def test_an_interrupted_process_leaves_nothing(tmp_path: Path) -> None:
-    interrupted = run(tmp_path / "large", "signal.raise_signal(signal.SIGINT)")
+def test_an_interrupted_process_leaves_the_older_export_alone(tmp_path: Path) -> None:
+    folder = tmp_path / "large"
+    folder.mkdir()
+    write(folder, "manifest.json", "old")
+    interrupted = run(folder, "signal.raise_signal(signal.SIGINT)")
     assert "KeyboardInterrupt" in interrupted.stderr
-    assert list(tmp_path.iterdir()) == []
+    assert list(tmp_path.rglob("*")) == [folder, folder / "manifest.json"]
+    assert (folder / "manifest.json").read_text() == "old"
 
 
 @posix

@@ -1,4 +1,4 @@
-"""The drawn parts, checked by points, slices and overlaps, independently of the drawing code."""
+"""The drawn parts, checked by points, slabs and overlaps, independently of the drawing code."""
 
 from dataclasses import replace
 from functools import lru_cache
@@ -18,11 +18,10 @@ from OCP.TopAbs import TopAbs_State
 
 from probedesign.cad.documents import assembly_steps
 from probedesign.cad.kernel import mass_properties
-from probedesign.cad.mesh import tessellate
+from probedesign.cad.mesh import MESH_LIMIT, tessellate, volume_omitted
 from probedesign.cad.model import FASTENERS, IN_SENSOR_FRAME, CadModel, CadPart, build_cad, build_parts, overlaps
-from probedesign.cad.packages import PackedPart, package_files, packed_parts
-from probedesign.cad.solids import probe_solid, screw_groups
-from probedesign.cad.verify import _packages, blocked_tools, checked, mesh_findings, verify
+from probedesign.cad.solids import flange_adapter_solid, probe_solid, screw_groups
+from probedesign.cad.verify import blocked_tools, checked, mesh_findings, solid_findings, verify
 from probedesign.core.errors import CheckFailedError, InputError
 from probedesign.core.frames import Array, pose, rotation_z
 from probedesign.design import Design, parse_design
@@ -31,14 +30,13 @@ from probedesign.design.io import render_design
 from probedesign.design.sensor_catalog import SENSORS
 from probedesign.design.sensors import ScrewPattern
 from probedesign.geometry import flange_for
-from probedesign.geometry.mass import combined
-from probedesign.mount import flange_adapter_for, mount_part_masses, sensor_adapter_for
+from probedesign.geometry.mass import combined, flexible_part
+from probedesign.mount import Mount, flange_adapter_for, mount_part_masses, sensor_adapter_for
 from probedesign.mount.engraving import Engraving
 from probedesign.mount.tolerance_stack import tolerance_stacks
 from probedesign.printing.check import check_print
 from tests.cad.conftest import LARGE, design_of
 
-Meshes = tuple[dict[str, trimesh.Trimesh], dict[str, list[PackedPart]], dict[str, bytes]]
 PROFILE = (
     'shape = "profile"\nlength_mm = 120.0\nbase_d_mm = 12.0\n'
     "profile_mm = [[0, 12], [40, 13], [60, 7], [80, 7], [120, 2]]"
@@ -70,15 +68,9 @@ def classifier(shape: Any) -> Any:
     return BRepClass3d_SolidClassifier(shape.wrapped)
 
 
-def meshed(model: CadModel) -> Meshes:
-    meshes = {part.name: tessellate(part.shape) for part in model.printed}
-    packed = packed_parts(model.design, check_print(model.design), meshes, model.fingerprints)
-    return meshes, packed, package_files(model.design, packed)
-
-
-@pytest.fixture(scope="module")
-def large_meshes(large: CadModel) -> Meshes:
-    return meshed(large)
+def assert_verified(model: CadModel) -> None:
+    """Solids, mesh of the probe, overlap, access and stacks."""
+    assert all(f["ok"] for f in verify(model, {"probe": tessellate(model.parts["probe"].shape)}).values())
 
 
 # ---- sensor adapter
@@ -122,12 +114,13 @@ def test_parts_on_another_sensor_agree_with_their_closed_form(large: CadModel) -
         assert whole.p_com == pytest.approx(bodies[name].p_com, abs=1e-9)
 
 
-@pytest.mark.parametrize("thread", ["M2", "M3", "M6"])  # three M2, or one thread on the axis
-@pytest.mark.parametrize("azimuths_deg", [(), (0.0,)])
+@pytest.mark.parametrize(("thread", "azimuths_deg"), [("M2", ()), ("M2", (0.0,)), ("M3", ()), ("M6", (0.0,))])
 def test_parts_on_a_sensor_with_fewer_than_two_dowels_agree_with_their_closed_form(
     large: CadModel, azimuths_deg: tuple[float, ...], thread: str
 ) -> None:
-    """No hole and no pin without a dowel; the adapter then turns in the play of its screws, M2 in 2.4 + 0.15 mm."""
+    """No hole and no pin without a dowel; the adapter then turns in the play of its screws, M2 in 2.4 + 0.15 mm.
+
+    Three M2, or another thread on the axis."""
     nano, geometry, screw = SENSORS["nano17"], large.geometry, SCREWS[thread]
     dowels, tool = replace(nano.interface.dowels, azimuths_deg=azimuths_deg), nano.interface.tool
     if thread != "M2":
@@ -166,7 +159,8 @@ def test_parts_on_a_sensor_with_fewer_than_two_dowels_agree_with_their_closed_fo
     assert a.pressed_share == pytest.approx(np.mean(pressed), abs=3 * np.sqrt(0.25 / 400))
     head = max(screw.counterbore_d / 2, inner)
     assert a.pressed_share < (outer**2 - head**2) / (outer**2 - inner**2) + 0.01
-    steps = " ".join(step.text for step in assembly_steps(screw_groups(a, plate), a, plate))
+    model = replace(large, geometry=geometry, adapter=a, plate=plate, screws=screw_groups(a, plate), parts=parts)
+    steps = " ".join(step.text for step in assembly_steps(model))
     assert ("over the pin onto" in steps and "pin into the hole of" in steps) == bool(azimuths_deg)
     assert ("holds no turn" in steps) == (not azimuths_deg) and f"1 {thread}x" in steps
 
@@ -281,14 +275,12 @@ def test_mounting_triad_is_turned_from_the_tool_triad(large: CadModel) -> None:
     ("flange", "reach", "spigot_r"), [("iso-9409-1-50-4-m6", 25.0, 15.65), ("iso-9409-1-31.5-4-m5", 15.75, 9.9)]
 )
 def test_robot_side(flange: str, reach: float, spigot_r: float) -> None:
-    model = build_cad(design_of(robot_flange=flange))
-    plate = model.parts["flange_adapter"].shape
+    plate = flange_adapter_solid(Mount.of(design_of(robot_flange=flange)).flange_adapter)
     for azimuth in (45, 135, 225, 315):  # from the dowel, through and through
         assert not any(filled(plate, at(azimuth, reach, z)) for z in (0.1, 3.0, 6.4))
     assert not filled(plate, at(0, reach, 0.1))  # the pin's slot
     assert filled(plate, at(180, reach, 0.1))  # and only one of them
     assert filled(plate, at(20, spigot_r - 0.1, -3.9)) and not filled(plate, at(20, spigot_r + 0.1, -0.1))
-    assert model.shared_volumes and max(model.shared_volumes.values()) == 0.0
 
 
 OWN_FLANGE = """robot_flange = "own"
@@ -337,7 +329,7 @@ def test_a_flange_of_the_users_own() -> None:
 )
 def test_a_flange_without_room_is_one_line(given: str, wrong: str, text: str) -> None:
     with pytest.raises(InputError, match=r"^mount\.flange\." + text) as error:
-        build_cad(with_flange(OWN_FLANGE.replace(given, wrong, 1)))
+        _ = Mount.of(with_flange(OWN_FLANGE.replace(given, wrong, 1))).flange_adapter
     assert "\n" not in str(error.value)
 
 
@@ -376,7 +368,7 @@ def test_every_screw_enters_within_its_limits_and_a_longer_one_is_refused(large:
 
 
 def ways(model: CadModel, **moved: CadPart) -> dict[str, float]:
-    return blocked_tools({**model.parts, **moved}, model.screws, model.adapter, model.plate)
+    return blocked_tools(replace(model, parts={**model.parts, **moved}))
 
 
 def test_all_assembly_corridors_are_free_and_a_covered_screw_is_detected(large: CadModel) -> None:
@@ -394,32 +386,41 @@ def test_all_assembly_corridors_are_free_and_a_covered_screw_is_detected(large: 
 # ---- the whole
 
 
-@pytest.mark.parametrize(
-    "probe",
-    [
-        ROUNDED + "length_mm = 60.0\nbase_d_mm = 3.0\ntip_d_mm = 1.2",
-        "length_mm = 150.0\nbase_d_mm = 25.0\ntip_d_mm = 2.0",
-        # To the kernel neither cone nor cylinder. Hollow bodies have the same outer surface, and one more.
-        pytest.param(NEARLY_A_CYLINDER, marks=pytest.mark.slow),
-        pytest.param(PROFILE, marks=pytest.mark.slow),
-        HOLLOW + PROFILE,
-        HOLLOW + NEARLY_A_CYLINDER,
-        ROUNDED + ELLIPTIC + PROFILE,
-    ],
-    ids=["base 3, rounded", "base 25", "nearly a cylinder", "profile", "hollow profile", "hollow, nearly a cylinder",
-         "elliptic profile, rounded"],
-)  # fmt: skip
-def test_solids_agree_with_the_formulae(probe: str) -> None:
-    model = build_cad(design_of(probe))
-    findings = verify(model, *meshed(model))
-    assert all(f["ok"] for f in findings.values())
+@pytest.mark.parametrize(("base_d", "tip"), [(3.0, "rounded"), (25.0, "blunt")])
+def test_parts_of_narrow_and_wide_probes_agree_with_the_formulae_and_go_together(base_d: float, tip: str) -> None:
+    model = build_cad(design_of(f'length_mm = 60.0\nbase_d_mm = {base_d}\ntip_d_mm = 2.0\ntip = "{tip}"'))
+    assert_verified(model)
     # The limit is 1e-9; the kernel is far better, so growth of these numbers indicates a change. It integrates along
     # the hyperbolas of the ring's notch in its conical bore, and so the ring and the sum of all parts, to 4e-11 only;
     # the closed form is converged there to 1e-15 (32 to 200 Gauss points).
-    for name, finding in findings.items():
-        if name.endswith(("volume", "centre", "inertia")) and "mesh" not in name and "3mf" not in name:
-            by_notch = name.startswith(("clamp_ring", "hanging"))
-            assert finding["measured"] < (1e-10 if by_notch else 1e-12), name
+    for name, finding in solid_findings(model).items():
+        assert finding["measured"] < (1e-10 if name.startswith(("clamp_ring", "hanging")) else 1e-12), name
+
+
+@pytest.mark.parametrize(
+    "probe", [PROFILE, HOLLOW + PROFILE, HOLLOW + NEARLY_A_CYLINDER, ROUNDED + ELLIPTIC + PROFILE],
+    ids=["profile", "hollow profile", "hollow, nearly a cylinder", "elliptic profile, rounded"],
+)  # fmt: skip
+def test_every_section_has_the_mass_of_the_formulae_as_a_whole_and_in_slabs(probe: str) -> None:
+    """To the kernel, "nearly a cylinder" is neither cone nor cylinder."""
+    mount = Mount.of(design_of(probe))
+    g, a = mount.geometry, mount.sensor_adapter
+    solid = probe_solid(g, a)
+    flange = mount_part_masses(g, a, 1010.0)["flange"].moved(np.linalg.inv(a.T_sensor_base))
+    wanted, body = combined([flexible_part(g, 1010.0), flange]), mass_properties(solid, 1010.0)
+    # The limit of an export is 1e-9; the kernel is far better, so growth of these numbers indicates a change.
+    assert body.volume == pytest.approx(wanted.volume, rel=1e-12)
+    assert body.p_com == pytest.approx(wanted.p_com, abs=1e-12 * g.length)
+    assert body.inertia == pytest.approx(wanted.inertia, abs=1e-12 * wanted.inertia.max())
+    mesh = tessellate(solid)
+    assert mesh.is_volume and volume_omitted(mesh, body.volume) <= MESH_LIMIT
+    for s in (0.123, 0.456, 0.789):
+        ends = np.array([s, s + 0.0025, s + 0.005]) * g.length
+        height = ends[2] - ends[0]
+        slab = cq.Solid.makeBox(60.0, 60.0, 1e3 * height, cq.Vector(-30.0, -30.0, 1e3 * ends[0]))
+        drawn = mass_properties(solid.intersect(slab), 1.0).volume
+        # Simpson's rule is exact for areas that grow with the square; the kernel fits a curve to cuts of some faces.
+        assert drawn == pytest.approx(height * g.area_at(ends) @ [1, 4, 1] / 6.0, rel=1e-5)
 
 
 def waisted(base_d: float, length: float, tip_d: float) -> str:
@@ -450,7 +451,7 @@ def test_grid_of_designs(base_d: float, length: float, thick: float, kind: str) 
     sizes = f"length_mm = {length}\nbase_d_mm = {base_d}\ntip_d_mm = {tip_d}\n"
     flange = "iso-9409-1-50-4-m6" if thick else "iso-9409-1-31.5-4-m5"
     model = build_cad(design_of(sizes + KINDS[kind](base_d, length, tip_d), flange))
-    assert all(f["ok"] for f in verify(model, *meshed(model)).values())
+    assert_verified(model)
 
 
 @pytest.mark.slow
@@ -460,7 +461,7 @@ def test_grid_of_designs(base_d: float, length: float, thick: float, kind: str) 
 def test_wider_grid(base_d: float, length: float, flange: str) -> None:
     probe = f"length_mm = {length}\nbase_d_mm = {float(base_d)}\ntip_d_mm = 0.3"
     model = build_cad(design_of(probe, flange))
-    assert all(f["ok"] for f in verify(model, *meshed(model)).values())
+    assert_verified(model)
 
 
 @pytest.mark.slow
@@ -474,7 +475,7 @@ def test_wider_grid(base_d: float, length: float, flange: str) -> None:
 )
 def test_grid_of_sections(section: str, sizes: tuple[float, float, float]) -> None:
     model = build_cad(design_of("length_mm = {}\nbase_d_mm = {}\ntip_d_mm = {}\n".format(*sizes) + section))
-    assert all(f["ok"] for f in verify(model, *meshed(model)).values())
+    assert_verified(model)
 
 
 def random_design(seed: int) -> str:
@@ -537,68 +538,54 @@ def test_fixed_designs(probe: str) -> None:
 
 def check_all(design: Design) -> None:
     model = build_cad(design)
-    assert all(f["ok"] for f in verify(model, *meshed(model)).values())  # solids, meshes, overlap, access, stacks
+    assert_verified(model)
     for stack in tolerance_stacks(model.adapter, model.plate):
         assert stack.ok, stack.name
     # Errors include supports on a face with a dimension.
     assert [f.message for f in check_print(design).findings if f.severity == "error"] == []
 
 
+def drawn_probe(probe: str) -> Any:
+    mount = Mount.of(design_of(probe))
+    return probe_solid(mount.geometry, mount.sensor_adapter)
+
+
 def test_a_bore_is_open_from_tip_to_underside() -> None:
-    probe = build_cad(design_of(HOLLOW + "length_mm = 150.0\nbase_d_mm = 12.0\ntip_d_mm = 2.0")).parts["probe"]
+    probe = drawn_probe(HOLLOW + "length_mm = 150.0\nbase_d_mm = 12.0\ntip_d_mm = 2.0")
     for z in (-2.99, -0.1, 0.1, 75.0, 149.99):
         outer = 6.0 if z < 0.0 else 6.0 - z / 30.0  # below s = 0 the bore keeps its width
         for azimuth in (20.0, 110.0, 200.0, 290.0):
-            assert not filled(probe.shape, at(azimuth, 0.49 * outer, z))
-            assert filled(probe.shape, at(azimuth, 0.51 * outer, z))
+            assert not filled(probe, at(azimuth, 0.49 * outer, z))
+            assert filled(probe, at(azimuth, 0.51 * outer, z))
 
 
-@pytest.fixture(scope="module")
-def elliptic() -> CadModel:
-    return build_cad(design_of(ELLIPTIC + LARGE))
-
-
-def test_a_flattened_probe_is_wide_along_the_clocking_mark(elliptic: CadModel) -> None:
-    probe = elliptic.parts["probe"]
+def test_a_flattened_probe_is_wide_along_the_clocking_mark_and_a_turned_one_is_detected(large: CadModel) -> None:
+    mount = Mount.of(design_of(ELLIPTIC + LARGE))
+    probe = probe_solid(mount.geometry, mount.sensor_adapter)
     for z in (0.1, 75.0, 149.9):
         a = 6.0 - z / 30.0
         for azimuth, half in ((0.0, a), (90.0, 0.6 * a), (180.0, a), (270.0, 0.6 * a)):
-            assert filled(probe.shape, at(azimuth, 0.99 * half, z))
-            assert not filled(probe.shape, at(azimuth, 1.01 * half, z))
-    assert all(filled(probe.shape, at(azimuth, 9.4, -1.5)) for azimuth in (0.0, 45.0, 90.0))  # a round flange
+            assert filled(probe, at(azimuth, 0.99 * half, z))
+            assert not filled(probe, at(azimuth, 1.01 * half, z))
+    assert all(filled(probe, at(azimuth, 9.4, -1.5)) for azimuth in (0.0, 45.0, 90.0))  # a round flange
+    for degrees, wrong in ((0.0, []), (90.0, ["flexible_inertia"])):
+        part = replace(large.parts["probe"], shape=probe.rotate((0, 0, 0), (0, 0, 1), degrees))
+        model = replace(
+            large, geometry=mount.geometry, adapter=mount.sensor_adapter, parts={**large.parts, "probe": part}
+        )
+        found = [name for name, f in solid_findings(model).items() if not f["ok"]]
+        assert [name for name in found if name.startswith("flexible")] == wrong
 
 
-def test_verify_detects_a_turned_elliptic_probe(elliptic: CadModel) -> None:
-    probe = elliptic.parts["probe"]
-    turned = replace(probe, shape=probe.shape.rotate((0, 0, 0), (0, 0, 1), 90.0))
-    model = replace(elliptic, parts={**elliptic.parts, "probe": turned})
-    with pytest.raises(CheckFailedError, match=r"section_second_moment_xx.*section_second_moment_yy") as error:
-        verify(model, *meshed(model))
-    assert "section_area" not in str(error.value) and "flexible_volume" not in str(error.value)
-
-
-def test_verify_detects_an_error_of_a_micrometre_and_an_open_mesh(large: CadModel, large_meshes: Meshes) -> None:
+def test_verify_detects_an_error_of_a_micrometre_and_an_open_mesh(large: CadModel) -> None:
     other = replace(large.geometry, radius=large.geometry.radius + 1e-6)
-    with pytest.raises(CheckFailedError, match=r"flexible_volume.*section_area") as error:
-        verify(replace(large, geometry=other), *large_meshes)
+    with pytest.raises(CheckFailedError, match="flexible_volume") as error:
+        checked("large", solid_findings(replace(large, geometry=other)))
     assert "clamp_ring" not in str(error.value)
-    meshes, *_ = large_meshes
-    ring = meshes["clamp_ring"]
+    ring = tessellate(large.parts["clamp_ring"].shape)
+    assert all(finding["ok"] for finding in mesh_findings(large, {"clamp_ring": ring}).values())
     with pytest.raises(CheckFailedError, match="clamp_ring_mesh_closed"):
-        checked("large", mesh_findings(large, meshes | {"clamp_ring": trimesh.Trimesh(ring.vertices, ring.faces[1:])}))
-
-
-def test_verify_detects_parts_on_top_of_each_other_or_turned_over(large: CadModel, large_meshes: Meshes) -> None:
-    _, packed, _ = large_meshes
-    plate, adapter, ring = packed["adapters.3mf"]
-    for wrong in (
-        [plate, adapter, replace(ring, T_platform_part=adapter.T_platform_part)],
-        [replace(plate, T_platform_part=adapter.T_platform_part), adapter, ring],
-        [plate, adapter, replace(ring, T_platform_part=pose(p=[10.0, 70.0, 0.0]))],
-    ):
-        moved = packed | {"adapters.3mf": wrong}
-        with pytest.raises(CheckFailedError, match=r"adapters\.3mf_layout"):
-            checked("large", _packages(large.design.printer, moved, package_files(large.design, moved)))
+        checked("large", mesh_findings(large, {"clamp_ring": trimesh.Trimesh(ring.vertices, ring.faces[1:])}))
 
 
 def test_overlap_is_detected(large: CadModel) -> None:
