@@ -29,7 +29,7 @@ AMBIENT, DIRECT = 0.58, 0.50
 SAMPLES = 2  #: Samples along each side of a pixel.
 
 
-def _shaded(slopes: Array, colours: Array, depth: Array, owner: NDArray[Any], triangle: NDArray[Any]) -> Array:
+def _shaded(slopes: Array, colours: Array, depth: NDArray[Any], owner: NDArray[Any], triangle: NDArray[Any]) -> Array:
     """Return colour and opacity of each sample: shaded, an outline, or nothing, (height, width, 4).
 
     Args:
