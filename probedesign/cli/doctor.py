@@ -13,7 +13,7 @@ from probedesign.cli.options import JsonOutput
 #: Features that each extra of `all`, and `notebook`, enables; "" is for the required packages.
 ENABLES = {
     "": "everything",
-    "notebook": "data frames of results and plots in a notebook",
+    "notebook": "plots and data frames of results in a notebook",
     "sweep": "sweep --scheduler: grids of designs on several machines",
     "cad": "export: STL, STEP and 3MF of the parts to print",
     "live": "live with a Net F/T box, MCAP recordings, ROS 2 bags",

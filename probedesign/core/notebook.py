@@ -9,12 +9,14 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from typing import Any, Protocol
 
+    from matplotlib.axes import Axes
     from pandas import DataFrame
 
     class Views(Protocol):
         """What `reports.notebook` shows of a result."""
 
         def views_of(self, result: object) -> dict[str, str]: ...
+        def plot_of(self, result: object, ax: Axes | None) -> Axes: ...
         def dataframe_of(self, result: object) -> DataFrame: ...
 
 
@@ -35,6 +37,14 @@ class Displayed:
 
     def _repr_mimebundle_(self, include: "Any" = None, exclude: "Any" = None) -> dict[str, str]:
         return _views().views_of(self)
+
+    def plot(self, ax: "Axes | None" = None) -> "Axes":
+        """Draw the picture with matplotlib into axes, new ones if None, and return them; they may be empty.
+
+        Raises:
+            MissingDependencyError: matplotlib is not installed.
+        """
+        return _views().plot_of(self, ax)
 
 
 class Tabular(Displayed):

@@ -1,4 +1,4 @@
-"""Charts as data, drawn as an SVG element.
+"""Charts as data, drawn as an SVG element; `reports.notebook` draws them into matplotlib axes.
 
 A chart lists axes, lines, areas, boxes and labels. The SVG has real text and needs no plotting library, so a page with
 a dozen charts takes a few milliseconds; it is legible at half size and in print.

@@ -1,6 +1,7 @@
 """What results show in a notebook: a short table, a picture and a data frame of each class of `core.notebook`.
 
-`summary_of` has one entry per class, and so has `rows_of` for the classes that are tables.
+`summary_of` has one entry per class, and so has `rows_of` for the classes that are tables. A picture is a `Chart`: SVG
+in the notebook's output, matplotlib where it is plotted.
 """
 
 import math
@@ -26,12 +27,13 @@ from probedesign.mount import build_geometry
 from probedesign.prediction.fused import worst
 from probedesign.prediction.predict import Prediction, condition_rows
 from probedesign.probe import Probe
-from probedesign.reports.chart import COLOURS, Chart
+from probedesign.reports.chart import COLOURS, NO_LINE, Chart, ChartArea, ChartLine
 from probedesign.reports.html_page import labelled
 from probedesign.reports.identification_page import residual_chart
 from probedesign.reports.prediction_charts import STATIONS, body_chart, error_chart
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from pandas import DataFrame
 
 _ARROW = 0.25  #: Length of a force's arrow over that of the probe.
@@ -65,6 +67,56 @@ def views_of(thing: object) -> dict[str, str]:
         shown = f'<div style="background: #fff; width: 440px; max-width: 100%; {_STYLE}">{picture}</div>'
         html = f'<div style="display: flex; flex-wrap: wrap; align-items: flex-start">{html}{shown}</div>'
     return {"text/html": html, "text/plain": text}
+
+
+def plot_of(thing: object, ax: "Axes | None") -> "Axes":
+    """Draw the picture of an object into matplotlib axes, new ones if None, and return them.
+
+    Raises:
+        MissingDependencyError: matplotlib is not installed.
+    """
+    require("matplotlib", "a plot", "notebook")
+    if ax is None:
+        from matplotlib import pyplot
+
+        ax = pyplot.subplots(layout="constrained")[1]
+    summary = summary_of(thing)
+    ax.set(title=summary.title)
+    if (chart := summary.chart) is None:
+        return ax
+    for shape in chart.elements:
+        match shape:
+            case ChartLine(x, y, colour, dashes, mark, width, _):
+                ax.plot(x, y, color=colour, lw=0.75 * width, ls=_linestyle(dashes), marker=mark, ms=4.5)
+            case ChartArea(points, colour, opacity):
+                ax.fill(*zip(*points, strict=True), color=colour, alpha=opacity, lw=0)
+            case _:
+                raise TypeError(f"matplotlib draws no {type(shape).__name__} of a chart")
+    for entry in chart.legend:
+        dashes, alpha = (NO_LINE, 0.4) if entry.dashes is None else (entry.dashes, 1.0)
+        mark = "s" if entry.dashes is None else entry.mark
+        ax.plot([], [], color=entry.colour, alpha=alpha, ls=_linestyle(dashes), marker=mark, ms=4.5, label=entry.name)
+    if chart.legend:
+        ax.legend(fontsize=8.0)
+    ax.set(xlabel=chart.x.label, ylabel=chart.y.label)
+    if chart.square:
+        ax.set_aspect("equal", adjustable="datalim")
+    else:
+        ax.set(xscale="log" if chart.x.log else "linear", xlim=(chart.x.low, chart.x.high),
+               yscale="log" if chart.y.log else "linear", ylim=(chart.y.low, chart.y.high))  # fmt: skip
+        ax.set_xticks(chart.x.shown_ticks, chart.x.tick_labels, rotation=90.0 if chart.x.upright else 0.0)
+        ax.set_yticks(chart.y.shown_ticks, chart.y.tick_labels)
+        ax.minorticks_off()
+    if chart.down:
+        ax.invert_yaxis()
+    ax.grid(True, alpha=0.25)
+    return ax
+
+
+def _linestyle(dashes: str) -> str | tuple[float, tuple[float, ...]]:
+    if dashes == NO_LINE:
+        return "none"
+    return (0.0, tuple(0.5 * float(n) for n in dashes.split())) if dashes else "-"
 
 
 def dataframe_of(thing: object) -> "DataFrame":

@@ -83,6 +83,19 @@ def test_a_result_shows_a_table_and_a_picture(name, request):
     assert all(cell in bundle["text/plain"] for cell in cells)
 
 
+def test_plot_draws_into_the_axes_that_are_given_or_makes_them(request, free):
+    pyplot = pytest.importorskip("matplotlib.pyplot")
+    pyplot.switch_backend("agg")
+    for name in PICTURED:
+        axes = pyplot.figure().subplots()
+        assert request.getfixturevalue(name).plot(axes) is axes
+        assert axes.get_title() and (axes.lines or axes.patches) and axes.get_xlabel() + axes.get_ylabel()
+        axes.figure.savefig("/dev/null", format="svg")  # every element can be drawn
+    empty = free.plot()
+    assert not empty.lines and "no_contact" in empty.get_title()
+    pyplot.close("all")
+
+
 def test_hostile_text_is_escaped(identification):
     html = identification._repr_html_()
     assert "<script" not in html and "the &lt;tests&gt; hang" in html
