@@ -65,22 +65,25 @@ def tool_rests(rng, n=12, mass=0.4, R_flange_sensor=None, std=(2e-2, 5e-4), walk
 
 
 def test_a_tool_is_found_with_its_mount_and_stated_error():
-    # 60 draws: a share of 95 % within 95 % lies in 88 ... 99 % with 2.5 standard deviations (2.8 % each) and a loss of
-    # two percent because the noise itself is estimated from twelve rests.
-    inside = []
-    for seed in range(60):
+    """90 numbers of 30 draws: a share of 95 % lies above 89 % with 2.5 standard deviations, and two percent are lost
+    because the noise itself is estimated from twelve rests. The squares, of 7 degrees of freedom with a mean of 1 ± 0.1,
+    show a covariance that is too large."""
+    inside, squares = [], []
+    for seed in range(30):
         rests, mass, com, R_fs = tool_rests(np.random.default_rng(seed))
         found = calibrate(calibration.tool_model(), rests, DOWN, tool=True)
-        inside.append(abs(found.mass - mass) < 1.96 * found.std[MASS])
-        inside.append(((com - found.p_com) @ np.linalg.solve(found.cov_com, com - found.p_com)) < 7.81)
         turn = Rotation.from_matrix(found.R.T @ R_fs).as_rotvec()
-        inside.append(turn @ np.linalg.solve(found.cov[TURN, TURN], turn) < 7.81)
-    assert 0.86 < np.mean(inside) < 0.995
+        chi2 = ((found.mass - mass) ** 2 / found.std[MASS] ** 2,
+                (com - found.p_com) @ np.linalg.solve(found.cov_com, com - found.p_com),
+                turn @ np.linalg.solve(found.cov[TURN, TURN], turn))  # fmt: skip
+        inside += [chi2[0] < 3.84, chi2[1] < 7.81, chi2[2] < 7.81]
+        squares.append(sum(chi2) / 7.0)
+    assert np.mean(inside) > 0.87 and np.mean(squares) > 0.7
 
 
 def test_predictions_of_other_poses_have_the_stated_error():
     chi2 = []
-    for seed in range(20):
+    for seed in range(10):
         rng = np.random.default_rng(seed)
         rests, *_ = tool_rests(rng, 40)
         held = rng.permutation(np.arange(1, 39))[:12]
@@ -88,8 +91,8 @@ def test_predictions_of_other_poses_have_the_stated_error():
         for i in held:
             mean, cov = found.predict(rests[i].time, rests[i].R)
             chi2.append((rests[i].wrench - mean) @ np.linalg.solve(cov, rests[i].wrench - mean))
-    # Of 240 predictions 95 % ± 1.4 % lie within 12.59, fewer by the noise that is estimated from 28 rests.
-    assert 0.89 < np.mean(np.array(chi2) < 12.59) < 0.99
+    # Of 120 predictions 95 % ± 2 % lie within 12.59, fewer by the noise that is estimated from 28 rests.
+    assert 0.87 < np.mean(np.array(chi2) < 12.59) <= 1.0
 
 
 def probe_rests(model, rng, n=12, added=3e-3, turn=(0.01, -0.02, 0.015), factor=1.0, tilt=1.0):
@@ -113,8 +116,8 @@ def probe_rests(model, rng, n=12, added=3e-3, turn=(0.01, -0.02, 0.015), factor=
 
 def test_a_probe_is_found_with_mount_and_stiffness(model):
     wide = replace(model, tolerances=None, stiffness_spread=0.1)
-    inside, E = [], []
-    for seed in range(15):
+    squares, E = [], []
+    for seed in range(6):
         rng = np.random.default_rng(seed)
         factor = math.exp(0.1 * rng.normal())
         rests, mass, moment, R_pb = probe_rests(wide, rng, factor=factor)
@@ -122,10 +125,10 @@ def test_a_probe_is_found_with_mount_and_stiffness(model):
         assert found.verdict == "ok", found.notes
         turn = Rotation.from_matrix(R_pb).as_rotvec()
         off = found.x[12:] - np.concatenate([[mass], moment, turn, [math.log(factor)]])
-        inside.append(np.abs(off) < 1.96 * found.std[12:])
+        squares.append((off / found.std[12:]) ** 2)
         E.append(found.std[STIFFNESS])
-    # 120 numbers of 15 independent draws: 95 % ± 3 %.
-    assert 0.87 < np.mean(inside) <= 1.0
+    # 48 numbers of six independent draws: 95 % ± 3 % within two standard deviations, and squares of 1 ± 0.2.
+    assert np.mean(np.array(squares) < 3.84) > 0.87 and np.mean(squares) > 0.5
     assert max(E) < 0.06  # ../world.md's bound for twelve poses is 3.6 %; here the bias walks, too
     frozen = found.calibrated()
     assert frozen.fingerprint == model.fingerprint

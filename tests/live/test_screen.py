@@ -35,9 +35,10 @@ def run(estimator, time, wrench):
 
 
 @pytest.mark.parametrize(
-    ("rate", "width"), [(7000.0, 1), (7000.0, 5), (1000.0, 1), (1000.0, 3), (100.0, 1), (100.0, 2), (20.0, 1)]
-)
-@pytest.mark.parametrize("size", [10.0, 300.0])
+    ("rate", "width", "size"),
+    [(7000.0, 1, 10.0), (7000.0, 5, 300.0), (1000.0, 1, 300.0), (1000.0, 3, 10.0), (100.0, 1, 10.0), (100.0, 2, 300.0),
+     (20.0, 1, 10.0), (20.0, 1, 300.0)],
+)  # fmt: skip
 def test_spikes_are_no_touches(rate, width, size, estimator):
     """In up to six channels at once, of so many standard deviations, once in 0.7 s; both signs."""
     time, wrench, std = readings(estimator, rate, averaged=rate < 500.0)

@@ -33,7 +33,7 @@ from probedesign.live.view.state import (
     ViewState,
     touch_points,
 )
-from probedesign.web.scene import RECORD, read_stl, rigid_parts
+from probedesign.web.scene import RECORD, rigid_parts
 
 
 def bent(estimator):
@@ -141,6 +141,7 @@ def test_exported_parts_are_placed_by_the_manifest(estimator, folder):
         (lambda folder: (folder / "clamp_ring.stl").write_bytes(b"solid"), "clamp_ring.stl is not a binary STL"),
         (lambda folder: (folder / "clamp_ring.stl").write_bytes(stl([])), "clamp_ring.stl is not a binary STL"),
         (lambda folder: (folder / "clamp_ring.stl").write_bytes(stl([[[math.inf] * 3] * 3])), "non-finite corner"),
+        (lambda folder: (folder / "clamp_ring.stl").write_bytes(stl([[[0.0] * 3] * 3])[:-1]), "not a binary STL"),
     ],
 )
 def test_parts_of_another_probe_are_not_drawn_and_a_note_is_shown(estimator, folder, spoil, expected):
@@ -148,13 +149,6 @@ def test_parts_of_another_probe_are_not_drawn_and_a_note_is_shown(estimator, fol
     parts, note = rigid_parts(estimator.model, folder)
     assert [part.name for part in parts] == ["sensor", "flange", "adapter"]
     assert expected in note and "plain cylinders" in note and "\n" not in note
-
-
-def test_a_truncated_stl_is_refused(folder):
-    path = folder / "clamp_ring.stl"
-    path.write_bytes(path.read_bytes()[:-1])
-    with pytest.raises(ValueError, match="not a binary STL"):
-        read_stl(path)
 
 
 # words
@@ -195,12 +189,6 @@ def answer(estimator, estimate: Estimate, time: float = 0.0, **more) -> Estimate
     return EstimateUpdate(WrenchReading(time, np.zeros(6), gravity), estimate, wrench_base=np.zeros(6), **more)
 
 
-def test_the_status_before_the_first_reading():
-    snapshot = ViewState().snapshot()
-    assert of(snapshot)["result"].text == "no reading yet"
-    assert snapshot.marker is None and snapshot.shape is None
-
-
 def test_a_contact_is_shown_with_its_units(estimator):
     snapshot = kept(estimator, Clock()).snapshot()
     words = of(snapshot)
@@ -237,7 +225,7 @@ def test_a_light_touch_has_an_interval_and_no_place(estimator):
     assert math.isnan(float(row["s_contact_mm"]))
 
 
-def test_silence_is_stale_and_what_is_known_is_old(estimator):
+def test_what_is_known_is_old_in_silence_and_without_estimates(estimator):
     clock = Clock()
     state = kept(estimator, clock)
     clock.now += 0.45  # not yet five gaps
@@ -247,13 +235,8 @@ def test_silence_is_stale_and_what_is_known_is_old(estimator):
     assert snapshot.stale and of(snapshot)["result"] == StatusLine("result", "stale: no reading for 2.4 s", "bad")
     state.on_samples(dropout_block(estimator.model.gravity_base, "stale, no record", 0))
     assert of(state.snapshot())["fault"] == StatusLine("fault", "stale, no record", "bad")
-
-
-def test_readings_without_estimates_make_what_is_known_old(estimator):
-    clock = Clock()
-    state = kept(estimator, clock)
     gravity = estimator.model.gravity_base
-    for _ in range(100):
+    for _ in range(100):  # readings without estimates
         clock.now += 0.1
         state.on_samples(Block(np.zeros(1), np.zeros((1, 6)), gravity, np.zeros(1)))
     assert "old" in of(state.snapshot())["result"].text and state.snapshot().stale
@@ -264,7 +247,9 @@ def test_loss_tare_and_recording_are_shown(estimator):
     state = ViewState(lambda: {"lost": 3, "received": 10}, recording=lambda: tuple(recording))
     for line in ("tare from 100 readings", "mark: here"):
         state.on_event(1.0, line)
-    words = of(state.snapshot())
+    snapshot = state.snapshot()
+    words = of(snapshot)
+    assert words["result"].text == "no reading yet" and snapshot.marker is None and snapshot.shape is None
     assert words["loss"] == StatusLine("loss", "3 lost of 0 readings", "fair")
     assert words["tare"].text == "from 100 readings"
     assert words["recording"] == StatusLine("recording", "to a.mcap, 7 readings", "good")
@@ -287,27 +272,21 @@ def test_the_end_of_a_run_is_shown_without_a_green_banner(estimator):
     assert 'class="pd-old"' in status_html(snapshot)
 
 
-def test_the_table_has_the_sources_time_and_the_charts_the_wall_clock(estimator):
+def test_touches_marks_and_the_bias_are_in_the_curves_over_the_wall_clock(estimator):
     state = ViewState()
-    state.on_estimate(answer(estimator, Estimate("no_contact"), 1234.5))
-    state.on_estimate(answer(estimator, Estimate("no_contact"), 1236.5))
-    snapshot = state.snapshot()
-    assert snapshot.time == 1236.5
-    # a second is ample for the lines above; the interval is exact up to the rounding of seconds since 1970
-    assert snapshot.strip[0, 0] == pytest.approx(time.time(), abs=1.0)
-    assert np.diff(snapshot.strip[:, 0]) == pytest.approx([2.0], abs=1e-6)
-
-
-def test_touches_marks_and_the_bias_are_in_the_curves(estimator):
-    state = ViewState()
-    for phase in ("free", "touching", "settled", "released"):
-        update = answer(estimator, Estimate("no_contact"), phase=phase, drift_base=np.array([0.0, 3e-3, 0, 0, 0, 0]))
-        state.on_estimate(update)
+    for i, phase in enumerate(("free", "touching", "settled", "released")):
+        drift = np.array([0.0, 3e-3, 0, 0, 0, 0])
+        state.on_estimate(answer(estimator, Estimate("no_contact"), 1234.5 + i, phase=phase, drift_base=drift))
         if phase == "touching":
             state.on_event(0.0, "mark: here")
-    columns = dict(zip(STRIP, state.snapshot().strip.T, strict=True))
+    snapshot = state.snapshot()
+    columns = dict(zip(STRIP, snapshot.strip.T, strict=True))
     assert columns["touch"].tolist() == [0.0, 1.0, 1.0, 0.0] and columns["mark"].tolist() == [0.0, 0.0, 1.0, 0.0]
     assert columns["bias_y"].tolist() == [3e-3] * 4
+    assert snapshot.time == 1237.5  # the table has the source's time
+    # a second is ample for the lines above; the intervals are exact up to the rounding of seconds since 1970
+    assert columns["time"][0] == pytest.approx(time.time(), abs=1.0)
+    assert np.diff(columns["time"]) == pytest.approx([1.0] * 3, abs=1e-6)
 
 
 def test_a_known_pose_puts_the_contact_into_the_world(estimator):
@@ -400,34 +379,28 @@ def test_scene_and_charts_are_of_one_instant_and_stay_while_paused(estimator, pa
     assert not np.allclose(page._scenes[0]._probe.vertices, bent_vertices)
     assert page._scenes[1]._base.position[2] > 1.0  # the other probe, of unknown pose, stands aside
     assert tuple(page._scenes[0]._probe.color) == (150, 150, 150) and not page._scenes[0]._contact.visible
-
-
-def test_ended_touches_are_numbered_in_the_scene(estimator, page):
-    found = kept(estimator, Clock())._update.estimate
-    touches = (Contact(1, 0.0, 1.0, estimate=found), Contact(2, 2.0, 3.0), Contact(3, 4.0, estimate=found))
+    # Of three touches the second was not located, and the third goes on.
+    touches = (
+        Contact(1, 0.0, 1.0, estimate=update.estimate),
+        Contact(2, 2.0, 3.0),
+        Contact(3, 4.0, estimate=update.estimate),
+    )
     page.show_first(Snapshot(result="no_contact", touches=touch_points(touches)))
-    assert [label.text for mark, label in page._scenes[0]._marks if mark.visible] == [
-        "1"
-    ]  # 2 was not located, 3 goes on
+    assert [label.text for mark, label in page._scenes[0]._marks if mark.visible] == ["1"]
 
 
 # terminal
 
 
-def test_terminal_and_page_show_the_same_status(estimator):
+def test_the_terminal_shows_the_status_and_is_left_as_it_was(estimator):
     snapshot = kept(estimator, Clock()).snapshot(shaped=False)
-    console = Console(file=StringIO(), width=120)
+    console = Console(file=StringIO(), force_terminal=True, width=120, height=40)
     console.print(table_of("large", snapshot))
-    drawn = console.file.getvalue()
-    assert all(line.text in drawn for line in snapshot.status)
-
-
-def test_the_terminal_is_left_as_it_was(estimator):
-    console = Console(file=StringIO(), force_terminal=True, width=100, height=40)
     terminal = TerminalView({"": ViewState()}, ["large"], console=console)
     terminal.on_estimate(answer(estimator, Estimate("no_contact")))
     terminal.on_event(0.0, "tare from [bold]100[/bold] readings")
     terminal.close()
     drawn = console.file.getvalue()
+    assert all(line.text in drawn for line in snapshot.status)
     assert "no_contact" in drawn and "from [bold]100[/bold] readings" in drawn
     assert drawn.index("\x1b[?25l") < drawn.rindex("\x1b[?25h")  # the cursor is back
