@@ -66,8 +66,8 @@ def tool_rests(rng, n=12, mass=0.4, R_flange_sensor=None, std=(2e-2, 5e-4), walk
 
 def test_a_tool_is_found_with_its_mount_and_stated_error():
     """90 numbers of 30 draws: a share of 95 % lies above 89 % with 2.5 standard deviations, and two percent are lost
-    because the noise itself is estimated from twelve rests. The squares, of 7 degrees of freedom with a mean of 1 ± 0.1,
-    show a covariance that is too large."""
+    because the noise itself is estimated from twelve rests. The squares, of 7 degrees of freedom, have a mean of
+    1 ± 0.1; a covariance that is too large shows in it."""
     inside, squares = [], []
     for seed in range(30):
         rests, mass, com, R_fs = tool_rests(np.random.default_rng(seed))
