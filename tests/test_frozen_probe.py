@@ -139,33 +139,22 @@ def test_a_probe_reads_back_to_the_last_bit(name, path):
     assert_reads_back(build_probe(load_design(DESIGNS / f"{name}.toml")), path)
 
 
-@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=20, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(probe=probes())
 def test_any_valid_probe_reads_back_to_the_last_bit(probe, path):
     assert_reads_back(probe, path)
 
 
-def test_the_same_probe_gives_the_same_bytes(model, tmp_path):
-    for name in ("a", "b"):
-        write_frozen(build_probe(load_design(DESIGNS / "large.toml")).model, tmp_path / name)
-    assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
-
-
 def test_the_file_is_indented_and_states_provenance_and_stiffness(model, frozen, path):
+    path.write_text("something else")
     write_frozen(model, path)
+    assert [p.name for p in path.parent.iterdir()] == [path.name]
     assert path.read_text().count("\n") > 50 and path.read_text().endswith("}\n")
     assert frozen["flexible_mass_kg"] == pytest.approx(model.mass, rel=1e-15)
     assert {m["provenance"] for m in frozen["material"].values()} <= {"assumed", "datasheet", "identified"}
     r = model.rod.radius_at(frozen["sections"]["s_m"])
     for key in ("EI_xx_Nm2", "EI_yy_Nm2"):
         np.testing.assert_allclose(frozen["sections"][key], model.rod.youngs_modulus * np.pi / 4.0 * r**4, rtol=1e-14)
-
-
-def test_an_existing_file_is_replaced(model, path):
-    path.write_text("something else")
-    write_frozen(model, path)
-    assert load_estimator(path).model.name == "large"
-    assert [p.name for p in path.parent.iterdir()] == [path.name]
 
 
 # Other sections
@@ -206,31 +195,6 @@ def test_a_curved_axis_reads_back_with_the_curvature_of_the_print(axis, path, mo
 )  # fmt: skip
 def test_a_forged_axis_is_refused(axis, message, frozen, path):
     refused(path, signed({**frozen, "axis": axis}), message)
-
-
-@pytest.mark.parametrize("section", SECTIONS)
-def test_the_section_table_agrees_with_closed_forms(section):
-    """At the base, 12 mm: the tube of d = 6 mm, the ellipse of b = 3.6 mm."""
-    table = freeze(probe_with(section).model)["sections"]
-    a, b, d = 6e-3, 3.6e-3, 6e-3
-    closed_forms = {
-        "hollow": {
-            "area_m2": np.pi / 4 * (12e-3**2 - d**2),
-            "second_moment_xx_m4": np.pi / 64 * (12e-3**4 - d**4),
-            "second_moment_yy_m4": np.pi / 64 * (12e-3**4 - d**4),
-            "torsion_constant_m4": np.pi / 32 * (12e-3**4 - d**4),
-        },
-        "elliptic": {
-            "area_m2": np.pi * a * b,
-            "second_moment_xx_m4": np.pi / 4 * a * b**3,
-            "second_moment_yy_m4": np.pi / 4 * a**3 * b,
-            "torsion_constant_m4": np.pi * a**3 * b**3 / (a**2 + b**2),
-        },
-    }
-    at_base = {key: table[key][0] for key in closed_forms[section]}
-    assert at_base == pytest.approx(closed_forms[section], rel=1e-12, abs=0)  # closed forms, a few roundings
-    assert table["EI_xx_Nm2"][0] == pytest.approx(2.32e6 * at_base["second_moment_xx_m4"], rel=1e-12, abs=0)
-    assert table["GJ_Nm2"][0] == pytest.approx(0.761e6 * at_base["torsion_constant_m4"], rel=1e-12, abs=0)
 
 
 @pytest.mark.parametrize("section", SECTIONS)
@@ -284,18 +248,6 @@ def test_a_missing_part_is_refused_under_a_valid_checksum(at, frozen, path):
         refused(path, signed({**frozen, at[0]: None}))
 
 
-def test_an_unknown_provenance_is_refused(frozen, path):
-    data = copy.deepcopy(frozen)
-    data["contact"]["provenance"] = "guessed"
-    refused(path, signed(data), "assumed, datasheet, identified")
-
-
-@pytest.mark.parametrize("friction", [-0.1, float("nan"), float("-inf")])
-def test_a_model_has_no_friction_below_0(friction, model):
-    with pytest.raises(InputError, match="friction = "):
-        replace(model, friction=friction)
-
-
 def signed(data):
     body = {key: value for key, value in data.items() if key != "checksum"}
     return json.dumps({**body, "checksum": frozen_probe._checksum(body)})
@@ -331,6 +283,7 @@ def test_contradicting_values_are_refused_under_a_valid_checksum(frozen, path):
         (("rod", "s_m", 1), negative, "increase"),
         (("gravity_base_m_s2",), remove, "gravity_base_m_s2"),
         (("hanging", "p_com_m"), shorten, "shape"),
+        (("contact", "provenance"), alter, "assumed, datasheet, identified"),
     ]
     for at, change, message in contradictions:
         refused(path, signed(with_changed(frozen, at, change)), message)
@@ -395,11 +348,6 @@ def test_a_huge_file_is_refused(path):
         file.truncate(11_000_000)
     with pytest.raises(InputError, match="too large"):
         load_model(path)
-
-
-def test_a_missing_file_is_refused(tmp_path):
-    with pytest.raises(InputError, match="no such"):
-        load_model(tmp_path / "none.json")
 
 
 # Against the printed parts
@@ -475,11 +423,9 @@ def test_a_manifest_without_a_fingerprint_is_refused(content, model, tmp_path):
 # Imports
 
 
-@pytest.mark.parametrize(
-    "module", ["probedesign.frozen_probe", "probedesign.live.run", "probedesign.live.sources.source"]
-)
-def test_running_imports_nothing_of_the_design_side(module):
-    code = f"import sys, {module}; print(*{{name.split('.')[0] for name in sys.modules}})"
+def test_running_imports_nothing_of_the_design_side():
+    modules = "probedesign.frozen_probe, probedesign.live.run, probedesign.live.sources.source"
+    code = f"import sys, {modules}; print(*{{name.split('.')[0] for name in sys.modules}})"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=True)
     loaded = set(done.stdout.split())
     assert "probedesign" in loaded
@@ -487,6 +433,8 @@ def test_running_imports_nothing_of_the_design_side(module):
 
 
 def test_a_folder_with_one_frozen_probe_is_accepted(frozen, path):
+    with pytest.raises(InputError, match="no such"):
+        load_model(path)
     with pytest.raises(InputError, match="no frozen probe"):
         load_model(path.parent)
     path.write_text(json.dumps(frozen))

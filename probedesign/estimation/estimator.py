@@ -101,8 +101,6 @@ class Estimator:
         Raises:
             InputError: friction is NaN or below 0.
         """
-        if not friction >= 0.0:
-            raise InputError(f"friction = {friction} must be 0 or more; inf leaves the direction free")
         return Estimator(replace(self.model, friction=float(friction)), self.tolerances)
 
     def estimate(

@@ -92,11 +92,6 @@ class ProbeGeometry:
         """Return I_yy(s) = ∫x² dA [m⁴] at arclength s [m]: bending about y; π r⁴/4 of a full round section."""
         return self.cross_section.factors.yy * np.pi / 4.0 * self.radius_at(s) ** 4
 
-    def torsion_constant_at(self, s: ArrayLike) -> Array:
-        """Return Saint-Venant's J(s) [m⁴] at arclength s [m]; I_xx + I_yy of a round section, less of a flattened
-        one."""
-        return self.cross_section.factors.torsion * np.pi / 2.0 * self.radius_at(s) ** 4
-
     @property
     def fingerprint(self) -> str:
         """Return twelve hex digits that identify the geometry: SHA-256 of its dimensions, rounded to a nanometre.

@@ -60,7 +60,7 @@ def test_no_place_that_the_scan_finds_is_missed(name, friction, probes, gravity)
     """The scan starts from every candidate along the rod and costs about a hundred equilibria."""
     sources, compared = sources_of(probes[name].model, gravity), 0
     length = probes[name].length
-    for _touch, wrench in drawn(sources, 30, np.random.default_rng(3), friction):
+    for _touch, wrench in drawn(sources, 20, np.random.default_rng(3), friction):
         problem = problem_of(sources, wrench, 0.6)
         traced = likelihood._places(problem, likelihood._fit(problem, None))
         for place in likelihood._scanned(problem):
@@ -69,7 +69,7 @@ def test_no_place_that_the_scan_finds_is_missed(name, friction, probes, gravity)
                 assert off <= 1e-5 * length + 0.1 * place.rms
                 compared += 1
     # Where the trace finds nothing the scan is asked anyhow; that must stay the exception.
-    assert compared >= 28
+    assert compared >= 18
 
 
 @pytest.mark.parametrize("shape", SHAPES)
@@ -90,7 +90,7 @@ def test_a_guess_is_close_enough_for_a_few_sweeps(large, gravity):
     sources = sources_of(large.model, gravity)
     sweeps = [
         likelihood._fit(problem_of(sources, wrench, 0.6), None)["sweeps"][0, 0]
-        for _touch, wrench in drawn(sources, 60, np.random.default_rng(5), 0.4)
+        for _touch, wrench in drawn(sources, 30, np.random.default_rng(5), 0.4)
     ]
     assert np.median(sweeps) <= 6
 
@@ -101,8 +101,8 @@ def test_the_direction_of_the_force_does_not_matter_to_where_it_is_looked_for(la
     estimator = Estimator(large.model, EXACT).with_friction(math.inf)
     found = 0
     for friction in (0.0, 0.5, 1.0, 1.5):
-        for touch, _wrench in drawn(sources, 25, np.random.default_rng(7), friction):
+        for touch, _wrench in drawn(sources, 12, np.random.default_rng(7), friction):
             places = estimator.estimate(touch.wrench, gravity).candidates
             off = min(np.linalg.norm(place.p_surface_base - touch.p_surface) for place in places)
             found += off <= 1e-5 + 0.02 * places[0].rms
-    assert found >= 99
+    assert found >= 47

@@ -6,6 +6,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from probedesign.core.frames import pose
 from probedesign.design import check_design
@@ -51,7 +52,7 @@ def touches_at(model, fraction, phi, force):
     return solve(Probes.of([model.rod] * len(phi)), GRAVITY, s, phi, force, axes="surface")
 
 
-@pytest.mark.parametrize(("name", "gravity"), [("arc", DOWN), ("half a helix", tuple(GRAVITY)), ("helix", DOWN)])
+@pytest.mark.parametrize(("name", "gravity"), [("arc", DOWN), ("helix", tuple(GRAVITY))])
 @pytest.mark.parametrize("method", ["ml", "force_moment"])
 def test_without_noise_a_touch_is_located_or_has_no_point(name, gravity, method):
     """Within 0.02 mm; the force–moment method knows no friction."""
@@ -62,7 +63,7 @@ def test_without_noise_a_touch_is_located_or_has_no_point(name, gravity, method)
     usual = Estimator(model, EXACT)
     sharp, located = usual.with_friction(math.inf).with_noise(**SHARP), 0
     for i, wrench in enumerate(touches.wrench):
-        for estimator in (sharp,) if method != "ml" else (sharp, usual.with_friction(math.inf)):
+        for estimator in (sharp,) if method != "ml" or i % 3 else (sharp, usual.with_friction(math.inf)):
             c = estimator.estimate(wrench, np.array(gravity), method=method)
             assert c.ok or c.result in WITHOUT_A_POINT, (touches.s[i], touches.surface_force[i])
             if c.ok:
@@ -96,7 +97,7 @@ def test_an_arc_is_blind_in_its_plane_and_says_so():
 @pytest.mark.parametrize("name", CURVED)
 def test_regions_of_light_touches_hold_with_the_noise_of_the_sensor(name):
     """5 mN, every side, friction drawn from its prior: 95 % of the stated regions hold."""
-    model, rng, n = model_of(name), np.random.default_rng(2), 150
+    model, rng, n = model_of(name), np.random.default_rng(2), 80
     estimator = Estimator(model, EXACT)
     ratios = model.friction * rng.normal(size=(n, 2))
     force = 5e-3 * np.column_stack([np.ones(n), ratios]) / np.sqrt(1.0 + (ratios**2).sum(axis=1))[:, None]
@@ -109,9 +110,8 @@ def test_regions_of_light_touches_hold_with_the_noise_of_the_sensor(name):
             off = c.p_surface_base - touches.p_surface[i]
             holds = off @ np.linalg.solve(c.cov_surface_base + 1e-12 * np.eye(3), off) <= 7.815
             inside, outside = inside + holds, outside + (not holds)
-    # Most have a point; two standard deviations of 100 draws below 95 % are 0.907.
-    assert inside + outside > 0.5 * n
-    assert inside > 0.9 * (inside + outside)
+    assert inside + outside > 0.5 * n  # most have a point
+    assert inside >= stats.binom(inside + outside, 0.95).ppf(0.01)
 
 
 @pytest.mark.parametrize("name", CURVED)
@@ -141,7 +141,7 @@ def test_two_places_that_explain_a_light_touch_are_ambiguous_or_inside_the_regio
     although the force that was read lies beyond one of them; where they merge to one wide place, it has an interval.
     The error of what is located is the stated one."""
     model = model_of(axis="helix", axis_bend_deg=212.0, axis_turns=0.965, axis_azimuth_deg=83.0)
-    rng, n, estimator = np.random.default_rng(5), 240, Estimator(model, EXACT)
+    rng, n, estimator = np.random.default_rng(5), 120, Estimator(model, EXACT)
     ratios = 0.5 * rng.normal(size=(n, 2))
     force = 5e-3 * np.column_stack([np.ones(n), ratios]) / np.sqrt(1.0 + (ratios**2).sum(axis=1))[:, None]
     touches = touches_at(model, 0.8, np.pi + rng.uniform(-1.0, 1.0, n), force)
@@ -151,5 +151,5 @@ def test_two_places_that_explain_a_light_touch_are_ambiguous_or_inside_the_regio
                             for c, p in zip(found, touches.p_surface, strict=True) if c.ok]).T  # fmt: skip
     assert len(off) > 0.5 * n and any(c.result == "ambiguous" for c in found)
     assert (off > 4.0 * stated).sum() <= 0.01 * n  # beyond `RIVAL_CHI2` a wrong root is taken once in 700 touches
-    # Of 150 errors with a tail the RMS is known to about 10 %.
-    assert np.sqrt(np.mean(off**2)) < 1.2 * np.sqrt(np.mean(stated**2))
+    # Of 70 errors with a tail the RMS is known to about 15 %.
+    assert np.sqrt(np.mean(off**2)) < 1.3 * np.sqrt(np.mean(stated**2))

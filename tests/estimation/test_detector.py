@@ -42,9 +42,9 @@ def alarms(states):
 
 
 def test_false_alarms_come_as_often_as_stated(large, sampled):
-    """Ten minutes of a free probe, tested for one alarm in twenty seconds: 30, a Poisson number."""
-    n = 600 * RATE
-    states = Detector(large.model, RATE, 20.0 / 3600.0).run(sampled(n))
+    """Two minutes of a free probe, tested for one alarm in four seconds: 30, a Poisson number."""
+    n = 120 * RATE
+    states = Detector(large.model, RATE, 4.0 / 3600.0).run(sampled(n))
     low, high = stats.poisson(30).ppf((RARE, 1.0 - RARE))
     # The five lengths are not independent, and their chances are simply added: rather fewer than stated.
     assert 0.3 * low <= len(alarms(states)) <= high
@@ -82,9 +82,9 @@ def test_longer_means_feel_less(large, by_force):
 
 
 def test_drift_is_followed_and_no_touch(large, sampled):
-    """The bias drifts for a minute by two steps per minute, ten times the assumed rate."""
+    """The bias drifts for half a minute by two steps, twenty times the assumed rate."""
     model = large.model
-    n = int(60 * RATE)
+    n = int(30 * RATE)
     step = np.sqrt(np.diag(model.noise_base()) * model.averaging_samples)
     drift = 2.0 * step * np.linspace(0.0, 1.0, n)[:, None]
     detector = Detector(model, RATE)
@@ -94,7 +94,7 @@ def test_drift_is_followed_and_no_touch(large, sampled):
 
 def test_a_sway_that_was_seen_is_borne_and_a_touch_in_it_is_told(large, sampled, by_force):
     """5 Hz and 3 mN at mid-length: the robot moves the probe."""
-    n = int(60 * RATE)
+    n = int(30 * RATE)
     t = np.arange(2 * n) / RATE
     sway = 0.003 * np.sin(2 * np.pi * 5.0 * t)[:, None] * by_force
     samples = sampled(2 * n) + sway

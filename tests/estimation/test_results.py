@@ -292,6 +292,12 @@ def test_a_noise_that_cannot_be_is_refused(noise, large):
         large.estimator().with_noise(*noise)
 
 
+@pytest.mark.parametrize("friction", [-0.1, np.nan])
+def test_a_friction_that_is_none_is_refused(friction, large):
+    with pytest.raises(InputError, match="friction"):
+        large.estimator().with_friction(friction)
+
+
 def test_another_noise_is_another_estimator_with_the_same_priors(large, gravity, touched):
     estimator, wrench = large.estimator(), touched(0.06, 0.05)
     loud = estimator.with_noise(force_N=2e-3, moment_Nm=1e-5)

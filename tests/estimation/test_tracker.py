@@ -90,7 +90,7 @@ def test_a_touch_held_while_the_bias_walks_scatters_as_stated(seconds, large, gr
     priors, rng = replace(EXACT, drift_steps=0.2, walk_steps=0.2), np.random.default_rng(5)
     model = replace(large.model, friction=0.0)
     (touch,), (T,) = presses(exact_sources, 0.7 * large.length, 1.57, [0.02])
-    samples, squares, draws = 100, [], 25
+    samples, squares, draws = 50, [], 25
     step = np.linalg.cholesky(model.noise_base() * model.averaging_samples)
     for _ in range(draws):
         tracker = Tracker(Estimator(model, priors), None, gravity)

@@ -1,4 +1,4 @@
-"""Test error columns against changed probes, the compiled posterior against numpy, and known bounds."""
+"""Test error columns against changed probes, the covariance against numpy, and known bounds."""
 
 import math
 from dataclasses import replace
@@ -9,13 +9,9 @@ from scipy.spatial.transform import Rotation
 
 from probedesign.core.frames import inverse as inverse_pose
 from probedesign.core.frames import pose, wrench_map
-from probedesign.estimation.contact_fit import FIT_SCRATCH, residuals
 from probedesign.estimation.error_sources import BEFORE_KNOTS, CAUSES, ErrorSources
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.model import Tolerances
-from probedesign.estimation.multistart import FIT
-from probedesign.estimation.uncertainty_kernel import measurement_covariance, posterior, whitening
-from probedesign.rod.kernels import kernel
 from probedesign.rod.kernels.surface_contact import BY_PARAMETER, BY_TOUCH, CENTRE, POINT
 from tests.estimation.true_touches import EXACT, settle, sources_of
 from tests.reference.surface_contact import SurfaceTouch, solve_touch
@@ -61,6 +57,8 @@ def test_the_linear_covariance_is_that_of_the_formula(touch, tolerances, frictio
             np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-4 * np.trace(wanted))
         else:
             np.testing.assert_allclose(found, wanted, rtol=0, atol=2e-2 * np.trace(wanted))
+    size = c.touch[2] * math.sqrt(1.0 + c.touch[3] ** 2 + c.touch[4] ** 2)
+    assert c.lever == pytest.approx(np.linalg.norm(H[3:, 0]) / size, rel=1e-2)
     sigma = reading_covariance(noise, D[:6])
     np.testing.assert_allclose(
         np.trace(c.whiten @ sigma @ c.whiten.T), 6.0, rtol=2e-3 if tolerances != "exact" else 1e-9
@@ -68,46 +66,6 @@ def test_the_linear_covariance_is_that_of_the_formula(touch, tolerances, frictio
     C = inverse(information(H, sigma, friction))
     # A last step of a thirtieth of a standard deviation is taken after the covariance.
     np.testing.assert_allclose(np.diag(c.cov_touch), np.diag(C), rtol=5e-2)
-
-
-@kernel
-def posterior_at(lin, touch, D, wrench, noise, friction, cov, whiten, scratch, gain, fits):  # noqa: PLR0917  # compiled
-    """Return the covariances of one linearised touch; the inner kernels cannot be called from Python."""
-    work = scratch[0]
-    for i in range(5):
-        work.by_s[i] = i == 0
-    measurement_covariance(noise, D, cov)
-    if not whitening(cov, work.factor, whiten):
-        return False
-    residuals(lin, touch, wrench, whiten, friction, work.J, work.r)
-    return posterior(lin, touch, work.J, whiten, D, work.by_s, work, gain, fits[0])
-
-
-@pytest.mark.parametrize("touch", TOUCHES)
-def test_the_compiled_posterior_is_the_formula_to_rounding(touch, large, gravity):
-    """Both use the same linearisation and all error sources."""
-    sources = sources_of(large.model, gravity, Tolerances())
-    true, friction = settle(sources, unknowns(large.model, touch)), 0.6
-    noise = large.model.noise_base() + sources.drift
-    cov, whiten, fits = np.empty((6, 6)), np.zeros((6, 6)), np.zeros(1, dtype=FIT)
-    scratch, gain = np.empty(1, dtype=FIT_SCRATCH), np.empty(3 * (6 + true.D.shape[1]))
-    assert posterior_at(true.lin, true.touch, true.D, true.wrench, noise, friction, cov, whiten, scratch, gain, fits)
-    result = fits[0]
-    sigma = reading_covariance(noise, true.D[:6])
-    np.testing.assert_allclose(cov, sigma, rtol=1e-9, atol=1e-20)
-    np.testing.assert_allclose(whiten @ sigma @ whiten.T, np.eye(6), atol=1e-9)
-    H = true.lin[:6, BY_TOUCH:BY_PARAMETER]
-    C = inverse(information(H, sigma, friction))
-    scale = np.sqrt(np.outer(np.diag(C), np.diag(C)))
-    np.testing.assert_allclose(result["cov_touch"] / scale, C / scale, atol=1e-6)
-    assert result["var_s"] == pytest.approx(C[0, 0], rel=1e-6)
-    for rows, name in ((POINT, "cov_surface"), (CENTRE, "cov_centre")):
-        at = slice(rows, rows + 3)
-        X = true.lin[at, BY_TOUCH:BY_PARAMETER]
-        wanted = point_covariance(H, X, true.D[:6], true.D[at], noise, friction)
-        np.testing.assert_allclose(result[name], wanted, rtol=0, atol=1e-6 * np.trace(wanted))
-    size = true.touch[2] * math.sqrt(1.0 + true.touch[3] ** 2 + true.touch[4] ** 2)
-    assert result["lever"] == pytest.approx(np.linalg.norm(H[3:, 0]) / size, rel=1e-9)
 
 
 # Bounds of single touches, large probe, gravity across: Cramér–Rao bounds [mm] by finite differences of a rod of their

@@ -40,47 +40,27 @@ def test_a_profile_goes_through_its_knots():
     assert stepped.radius_at(np.array([20.0, 40.0, 80.0]) * 1e-3) == pytest.approx([0.002, 0.002, 0.0015], rel=EXACT)
 
 
-def test_section_properties_of_a_round_section():
-    """A = π d²/4, I = π d⁴/64, J = π d⁴/32: any table of sections."""
-    cone, s = geometry_of(), np.linspace(0.0, 0.15, 5)
-    d = 2.0 * cone.radius_at(s)
-    assert cone.area_at(s) == pytest.approx(math.pi * d**2 / 4, rel=EXACT, abs=0)
-    assert cone.second_moment_xx_at(s) == pytest.approx(math.pi * d**4 / 64, rel=EXACT, abs=0)
-    assert cone.second_moment_yy_at(s) == pytest.approx(math.pi * d**4 / 64, rel=EXACT, abs=0)
-    assert cone.torsion_constant_at(s) == pytest.approx(math.pi * d**4 / 32, rel=EXACT, abs=0)
-
-
-def test_section_properties_of_a_hollow_section():
-    """A = π (D² - d²)/4, I = π (D⁴ - d⁴)/64, J = 2 I: any table of sections."""
-    tube, s = geometry_of(bore_ratio=0.6), np.linspace(0.0, 0.15, 5)
-    D = 2.0 * tube.radius_at(s)
-    d = 0.6 * D
-    assert tube.area_at(s) == pytest.approx(math.pi * (D**2 - d**2) / 4, rel=EXACT, abs=0)
-    for moment in (tube.second_moment_xx_at, tube.second_moment_yy_at):
-        assert moment(s) == pytest.approx(math.pi * (D**4 - d**4) / 64, rel=EXACT, abs=0)
-    assert tube.torsion_constant_at(s) == pytest.approx(math.pi * (D**4 - d**4) / 32, rel=EXACT, abs=0)
-
-
-def test_section_properties_of_an_ellipse():
-    """A = π a b, I_xx = π a b³/4, I_yy = π a³ b/4, J = π a³ b³/(a² + b²): any table of sections."""
-    blade, s = geometry_of(flatness=0.5), np.linspace(0.0, 0.15, 5)
-    a = blade.radius_at(s)
-    b = 0.5 * a
-    assert blade.area_at(s) == pytest.approx(math.pi * a * b, rel=EXACT, abs=0)
-    assert blade.second_moment_xx_at(s) == pytest.approx(math.pi * a * b**3 / 4, rel=EXACT, abs=0)
-    assert blade.second_moment_yy_at(s) == pytest.approx(math.pi * a**3 * b / 4, rel=EXACT, abs=0)
-    assert blade.torsion_constant_at(s) == pytest.approx(math.pi * a**3 * b**3 / (a**2 + b**2), rel=EXACT, abs=0)
+def test_section_properties_are_those_of_any_table():
+    """A, I_xx and I_yy of a tube with d = 0.6 D, and of an ellipse with semi-axes a and b = a/2."""
+    s = np.linspace(0.0, 0.15, 5)
+    a = geometry_of().radius_at(s)
+    D, d, b = 2.0 * a, 1.2 * a, 0.5 * a
+    ring = math.pi * (D**4 - d**4) / 64
+    for section, (A, xx, yy) in (
+        ({}, (math.pi * D**2 / 4, math.pi * D**4 / 64, math.pi * D**4 / 64)),
+        ({"bore_ratio": 0.6}, (math.pi * (D**2 - d**2) / 4, ring, ring)),
+        ({"flatness": 0.5}, (math.pi * a * b, math.pi * a * b**3 / 4, math.pi * a**3 * b / 4)),
+    ):
+        body = geometry_of(**section)
+        assert body.area_at(s) == pytest.approx(A, rel=EXACT, abs=0)
+        assert body.second_moment_xx_at(s) == pytest.approx(xx, rel=EXACT, abs=0)
+        assert body.second_moment_yy_at(s) == pytest.approx(yy, rel=EXACT, abs=0)
 
 
 def test_what_is_thinnest_is_a_wall_or_a_diameter():
     assert geometry_of().thinnest == pytest.approx(2e-3, rel=EXACT)
     assert geometry_of(bore_ratio=0.6).thinnest == pytest.approx(0.4e-3, rel=EXACT)
     assert geometry_of(flatness=0.5).thinnest == pytest.approx(1e-3, rel=EXACT)
-
-
-def test_the_bore_leaves_through_the_flange():
-    assert geometry_of().bore_radius == 0.0
-    assert geometry_of(bore_ratio=0.6).bore_radius == pytest.approx(3.6e-3, rel=EXACT)
 
 
 def test_fingerprint_depends_on_the_dimensions_alone():
@@ -90,22 +70,16 @@ def test_fingerprint_depends_on_the_dimensions_alone():
     assert as_profile.fingerprint == geometry_of().fingerprint
 
 
-@pytest.mark.parametrize(
-    "change", [{"length": 150.01}, {"base": 12.01}, {"tip": 2.01}, {"shape": "cylinder", "tip": None}]
-)
-def test_fingerprint_sees_a_hundredth_of_a_millimetre(change):
-    assert geometry_of(**change).fingerprint != geometry_of().fingerprint
-
-
 def test_fingerprint_of_a_round_probe_never_changes():
     """The fingerprint of the large probe, which printed parts and frozen probes have, has not changed."""
     assert geometry_of().fingerprint == "dbfe02e41516"
     assert geometry_of(flatness=1.0).fingerprint == "dbfe02e41516"  # it is the same body
 
 
-def test_fingerprint_sees_the_section():
-    sections = [{}, *({key: value} for key in ("bore_ratio", "flatness") for value in (0.5, 0.501))]
-    assert len({geometry_of(**section).fingerprint for section in sections}) == len(sections)
+def test_fingerprint_sees_a_hundredth_of_a_millimetre_and_the_section():
+    changes = [{}, {"length": 150.01}, {"base": 12.01}, {"tip": 2.01}, {"shape": "cylinder", "tip": None},
+               *({key: value} for key in ("bore_ratio", "flatness") for value in (0.5, 0.501))]  # fmt: skip
+    assert len({geometry_of(**change).fingerprint for change in changes}) == len(changes)
 
 
 def test_flange_carries_the_probe_and_covers_the_sensor():

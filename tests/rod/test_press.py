@@ -9,7 +9,7 @@ from rods import CONE, CYLINDER, ELLIPTIC, PROFILE, ROOTED_CONE, approach, surfa
 
 from probedesign.core.errors import InputError
 from probedesign.rod.contact import line_of_action, press_poses, solve_frictionless
-from probedesign.rod.friction import press_against_line, press_against_point
+from probedesign.rod.friction import CoulombSolver, press_against_line, press_against_point
 from probedesign.rod.rod import Rod
 
 GRAVITY = np.array([6.0, 5.0, -6.0])
@@ -140,10 +140,10 @@ def test_the_first_touch_is_where_the_surface_is(height, offset):
 @pytest.mark.parametrize("name", ["cone", "cylinder", "profile"])
 def test_an_edge_slides_off_the_tip(name):
     rod = RODS[name]
-    z, results = 0.97 * rod.length, []
-    for depth in np.linspace(0.02, 0.5, 25):
-        point = (-depth * rod.length, 0.0, z)
-        results.append(press_against_line(rod, (0, 0, 0), point, (0, 1, 0), (-(depth + 0.1) * rod.length, 0, 0)))
+    z, solver = 0.97 * rod.length, CoulombSolver(rod, 0.0)
+    results = [solver.press((0, 0, 0), (-0.02 * rod.length, 0.0, z), (-0.12 * rod.length, 0, 0), (0, 1, 0))]
+    for depth in np.linspace(0.04, 0.5, 24):
+        results.append(solver.advance(results[-1], (-depth * rod.length, 0.0, z)))
     ok = [press.result == "ok" for press in results]
     assert ok[0] and not ok[-1] and sorted(ok, reverse=True) == ok
     assert results[-1].result in ("on_end", "unstable") and np.isnan(results[-1].force_base).all()
@@ -155,13 +155,13 @@ def test_an_edge_slides_off_the_tip(name):
 def test_over_the_knots_of_a_profile_the_press_goes_on(fraction):
     """The radius of the profile increases in places, so an edge that slides outwards meets a groove and a ridge."""
     rod = Rod(np.array([0.0, 0.05, 0.07, 0.12]), np.array([4e-3, 2e-3, 2.5e-3, 1.5e-3]), 1e6, 0.3e6, 1100.0)
-    slid = []
-    for depth in np.linspace(1e-4, 0.05, 25):
-        p = np.array([1.8e-3 - depth, 0.0, fraction * rod.length])
-        press = press_against_line(rod, (0, 0, 0), p, (0, 1, 0), (-0.01 - depth, 0.0, 0.0))
+    solver, z, slid = CoulombSolver(rod, 0.0), fraction * rod.length, []
+    press = solver.press((0, 0, 0), (1.7e-3, 0.0, z), (-0.0101, 0.0, 0.0), (0, 1, 0))
+    for depth in np.linspace(2e-3, 0.05, 25):
         if press.result != "ok":
             break
         slid.append(press.s)
+        press = solver.advance(press, (1.8e-3 - depth, 0.0, z))
     assert np.abs(np.diff(slid)).max() < 0.08 * rod.length
     assert slid[-1] > (fraction + 0.05) * rod.length and (np.diff(np.searchsorted(rod.s, slid)) > 0).any()
 
