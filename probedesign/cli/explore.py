@@ -81,7 +81,6 @@ def explore(
         as_json: print one JSON document with the points and their uncertainty.
     """
     from probedesign.live.outputs.options import open_publisher
-    from probedesign.mapping.explore import parse_min_separation
     from probedesign.mapping.touch_point import describe_base
     from probedesign.simulation import simulated_run
     from probedesign.simulation.scenes import SOURCE, true_outlines
@@ -93,8 +92,10 @@ def explore(
     processing = None if rehearsing else reading.processing(recordings)
     if len(bundles) > 1 and reading.source is not None:
         raise InputError("--source is read by one probe; run `live` with all of them, and here --follow")
+    if not 0.0 <= apart_mm < math.inf:
+        raise InputError(f"--apart-mm {apart_mm:g} must not be negative; 0 fuses no touches")
     mesh = suggestion.check()
-    explorations = _explorations(bundles, manifest, base, parse_min_separation(apart_mm), one_object)
+    explorations = _explorations(bundles, manifest, base, 1e-3 * apart_mm, one_object)
     models = [each.estimator.model for each in explorations.values()]
     if rehearsal is not None and rehearsing:
         return print(f"wrote {', '.join(map(str, rehearsal.write(models, base, one_object, force)))}")

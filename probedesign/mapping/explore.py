@@ -1,6 +1,5 @@
 """From readings and poses to a map: the chain of `live`, its touches segmented, located and combined."""
 
-import math
 from collections.abc import Callable, Generator, Iterator, Mapping
 from contextlib import closing
 from dataclasses import dataclass, field, replace
@@ -242,14 +241,3 @@ def joint_map(explorations: Mapping[str, Exploration]) -> ContactMap:
     first = next(iter(explorations.values()))
     priors = first.priors or first.estimator.priors
     return build_map(touches, priors.youngs_modulus, first.min_separation, priors.object_compliance)
-
-
-def parse_min_separation(millimetres: float) -> float:
-    """Return the minimum distance between points of the object [m].
-
-    Raises:
-        InputError: the number is negative or not finite.
-    """
-    if not 0.0 <= millimetres < math.inf:
-        raise InputError(f"--apart-mm {millimetres:g} must not be negative; 0 fuses no touches")
-    return 1e-3 * millimetres

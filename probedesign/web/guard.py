@@ -149,7 +149,7 @@ class RequestFilter:
         origins = (f"http://{host}".lower(), f"https://{host}".lower())
         if upgrade and not (host and request.headers.get("Origin", "").lower() in origins):
             return _refusal("Only the page itself may connect.\n")
-        if self._token and not self._is_known(request):
+        if self._token and not self._matches(_cookie(request, self._cookie)):
             tokens = parse_qs(urlsplit(request.path).query).get("token", [])
             if not upgrade and any(map(self._matches, tokens)):
                 cookie = f"{self._cookie}={self._token}; HttpOnly; SameSite=Strict; Path=/"
@@ -170,9 +170,6 @@ class RequestFilter:
         response = self._serve_file(connection, Request(request.path, plain))
         return None if response is None else self._complete(response, "gzip" in accepted)
 
-    def _is_known(self, request: Request) -> bool:
-        return self._matches(_cookie(request, self._cookie))
-
     def _matches(self, text: str) -> bool:
         return hmac.compare_digest(text.encode(), self._token.encode())
 
@@ -182,8 +179,9 @@ class RequestFilter:
         if response.headers.get("Content-Type", "").startswith("text/html"):
             key = len(body) * 2 + zipped
             if key not in self._pages:
-                page = self._page(body.decode()).encode()
-                self._pages[key] = gzip.compress(page) if zipped else page
+                page = re.sub("<link[^>]*/>", f'<link rel="icon" href="{FAVICON}" />', body.decode(), count=1)
+                page = page.replace("<title>Viser</title>", self._head, 1)
+                self._pages[key] = gzip.compress(page.encode()) if zipped else page.encode()
             body = self._pages[key]
         else:
             zipped = False
@@ -191,11 +189,6 @@ class RequestFilter:
         kept = {name: value for name, value in response.headers.raw_items() if name.title() not in ours}
         headers = Headers(kept | ours)
         return Response(response.status_code, response.reason_phrase, headers, body)
-
-    def _page(self, text: str) -> str:
-        text = re.sub("<link[^>]*/>", f'<link rel="icon" href="{FAVICON}" />', text, count=1)
-        before, _, after = text.partition("<title>Viser</title>")
-        return f"{before}{self._head}{after}"
 
 
 def _cookie(request: Request, name: str) -> str:

@@ -133,8 +133,14 @@ def write_home(
         The page; None where a file of this name was not written by this program, which stays.
     """
     page = folder / PAGE
-    if page.exists() and not _is_ours(page):
-        return None
+    if page.exists():
+        try:
+            with page.open("rb") as file:
+                head = file.read(4096)
+        except OSError:
+            head = b""
+        if not (head.startswith(DOCTYPE.encode()) and STYLE_START in head):
+            return None
     words = {"design": design or model.name, "name": model.name, "folder": str(folder)}
     made = [(step, *_files(folder, step, model.name)) for step in STEPS]
     prediction = next((record for step, _, record, _ in made if step.title == "Prediction" and record), {})
@@ -171,15 +177,6 @@ def refresh_home(model: ProbeModel, design: Path | None = None) -> Path | None:
     if design is None and not (exports_of() / model.name).is_dir():
         return None
     return write_home(exports_of(design) / model.name, model, "" if design is None else str(design))
-
-
-def _is_ours(page: Path) -> bool:
-    try:
-        with page.open("rb") as file:
-            head = file.read(4096)
-    except OSError:
-        return False
-    return head.startswith(DOCTYPE.encode()) and STYLE_START in head
 
 
 def _files(folder: Path, step: Step, name: str) -> tuple[str, dict[str, Any] | None, str]:

@@ -211,7 +211,8 @@ def _exported(model: ProbeModel, folder: Path) -> list[RigidPart]:
         listed = manifest.get("files", {}).get(file.name, {}).get("sha256")
         if listed is not None and listed != hashlib.sha256(file.read_bytes()).hexdigest():
             raise ValueError(f"{file.name} is not the file that the manifest lists; export the design again")
-        parts.append(_placed(name, read_stl(file), T_base_sensor @ T))
+        vertices, index = np.unique(read_stl(file).reshape(-1, 3), axis=0, return_inverse=True)
+        parts.append(_part(name, vertices, index.reshape(-1, 3), T_base_sensor @ T))
     return parts
 
 
@@ -231,11 +232,6 @@ def read_stl(path: Path) -> Array:
     if not np.isfinite(corners).all():
         raise ValueError(f"{path.name} has a non-finite corner")
     return corners
-
-
-def _placed(name: str, corners: Array, T: Array) -> RigidPart:
-    vertices, index = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)
-    return _part(name, vertices, index.reshape(-1, 3), T)
 
 
 def _part(name: str, vertices: Array, faces: NDArray[Any], T: Array) -> RigidPart:

@@ -118,15 +118,10 @@ class FoxgloveServer(MessageEncoder):
         """Return whether somebody subscribed to a topic."""
         return self._channels[topic.path].has_sinks()
 
-    def on_samples(self, block: Block) -> None:
-        """Encode readings if somebody listens; see `MessageEncoder`."""
+    def pass_on(self, call: str, *data: Any) -> None:
+        """Encode data if somebody listens; see `MessageEncoder`."""
         if any(channel.has_sinks() for channel in self._channels.values()):
-            super().on_samples(block)
-
-    def on_estimate(self, update: EstimateUpdate) -> None:
-        """Encode an estimate if somebody listens; see `MessageEncoder`."""
-        if any(channel.has_sinks() for channel in self._channels.values()):
-            super().on_estimate(update)
+            super().pass_on(call, *data)
 
     def flush(self) -> None:
         """Send what is buffered."""

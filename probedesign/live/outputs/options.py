@@ -92,32 +92,19 @@ class OutputOptions:
 
             sinks.add(FoxgloveSink(models, self.foxglove, sinks.log))
         if self.page is not None or self.terminal:
-            self._connect_views(sinks, commands, estimators, sources, recordings)
+            from probedesign.live.view.sinks import BrowserView, TerminalView
+            from probedesign.live.view.state import ViewState
+
+            states = {
+                name: ViewState(partial(getattr, source, "counts", {}), recording=recordings.state, name=name)
+                for name, source in zip(estimators, sources, strict=True)
+            }
+            if self.page is not None:
+                folders = [*zip(estimators.values(), self.parts_folders, strict=True)]
+                limits = self.limits.force, self.limits.moment
+                sinks.add(BrowserView(states, folders, commands, sinks.log, *self.page, limits=limits,
+                                      open_browser=self.open_browser))  # fmt: skip
+            if self.terminal:
+                sinks.add(TerminalView(states, [f"{model.name} {model.fingerprint}" for model in models]))
         if self.record is not None:  # after the views, which show recording by its events
             sinks.log(recordings.start())
-
-    def _connect_views(
-        self,
-        sinks: SinkGroup,
-        commands: CommandQueue,
-        estimators: Mapping[str, Estimator],
-        sources: Sequence[Source],
-        recordings: RecordingSink,
-    ) -> None:
-        from probedesign.live.view.sinks import BrowserView, TerminalView
-        from probedesign.live.view.state import ViewState
-
-        states = {
-            name: ViewState(partial(getattr, source, "counts", {}), recording=recordings.state, name=name)
-            for name, source in zip(estimators, sources, strict=True)
-        }
-        if self.page is not None:
-            folders = [*zip(estimators.values(), self.parts_folders, strict=True)]
-            view = BrowserView(
-                states, folders, commands, sinks.log, *self.page, open_browser=self.open_browser,
-                limits=(self.limits.force, self.limits.moment),
-            )  # fmt: skip
-            sinks.add(view)
-        if self.terminal:
-            titles = [f"{each.model.name} {each.model.fingerprint}" for each in estimators.values()]
-            sinks.add(TerminalView(states, titles))

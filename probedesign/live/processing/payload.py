@@ -271,10 +271,7 @@ class PayloadCheck:
             return
         g, mean = readings[0].gravity_base, np.mean([each.wrench_sensor for each in readings], axis=0)
         self._rests.append((g, mean - self._model.to_sensor(self._model.rod.solve(g).wrench_base, g)))
-        self._check()
-
-    def _check(self) -> None:
-        """Report a payload that explains what the free probe leaves, where gravity has turned enough."""
+        # A payload that explains what the free probe leaves is reported, where gravity has turned enough.
         g, left = (np.array(column) for column in zip(*self._rests, strict=True))
         down = g / np.linalg.norm(g, axis=1)[:, None]
         if len(g) < CHECK_RESTS or np.linalg.svd(down - down.mean(axis=0))[1][1] < math.sqrt(len(g)) * MIN_SPREAD:

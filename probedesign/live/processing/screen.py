@@ -156,7 +156,15 @@ class SampleScreen:
             return batch, f"{CHANNELS[c]} is at its limit or not a number: {rows[i, c]:.4g}", True
         if frozen >= FROZEN_READINGS:
             return batch, f"frozen: {frozen} readings in a row are identical", False
-        return batch, self._dead(float(time[-1])), False
+        run = self._channels[RUN]
+        if run.max() >= DEAD_READINGS or self._stuck.max() >= STUCK:
+            lasting = float(time[-1]) - self._channels[SINCE]
+            dead = ((lasting >= DEAD_TIME) & (run >= DEAD_READINGS)) | (self._stuck >= STUCK)
+            if dead.any():
+                c = int(np.argmax(dead))
+                fault = f"{CHANNELS[c]} has not changed for {lasting[c]:.3g} s: dead, or rounded too coarsely"
+                return batch, fault, False
+        return batch, "", False
 
     def screened(self, time: Array, rows: Array) -> tuple[Array, int]:
         """Return samples (n, 6) at their times [s] without spikes, and the third result of `screen`.
@@ -174,14 +182,3 @@ class SampleScreen:
         )  # fmt: skip
         self.spikes += int(spikes)
         return clean if replaced else rows, int(frozen)
-
-    def _dead(self, now: float) -> str:
-        run = self._channels[RUN]
-        if run.max() < DEAD_READINGS and self._stuck.max() < STUCK:
-            return ""
-        lasting = now - self._channels[SINCE]
-        dead = ((lasting >= DEAD_TIME) & (run >= DEAD_READINGS)) | (self._stuck >= STUCK)
-        if not dead.any():
-            return ""
-        c = int(np.argmax(dead))
-        return f"{CHANNELS[c]} has not changed for {lasting[c]:.3g} s: dead, or rounded too coarsely"

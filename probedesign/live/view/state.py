@@ -58,12 +58,11 @@ MAX_TOUCHES = 24  #: Maximum number of earlier touches that are drawn.
 def touch_points(contacts: tuple[Contact, ...]) -> list[TouchPoint]:
     """Return the touches that have ended and were located: fused, or of a base that does not move."""
     points: list[TouchPoint] = []
-    for contact in contacts[-MAX_TOUCHES:]:
-        fused, estimate = contact.fused, contact.estimate
-        if fused is not None and fused.ok and not contact.ongoing:
-            points.append((contact.number, fused.p_surface_world, True))
-        elif fused is None and estimate is not None and not contact.ongoing:
-            points.append((contact.number, estimate.p_surface_base, False))
+    for contact in (contact for contact in contacts[-MAX_TOUCHES:] if not contact.ongoing):
+        if contact.fused is not None and contact.fused.ok:
+            points.append((contact.number, contact.fused.p_surface_world, True))
+        elif contact.fused is None and contact.estimate is not None:
+            points.append((contact.number, contact.estimate.p_surface_base, False))
     return points
 
 
