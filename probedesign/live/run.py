@@ -28,7 +28,6 @@ from probedesign.live.processing.averaging import Averager
 from probedesign.live.processing.chain import Chain, ProcessingOptions
 from probedesign.live.processing.commands import CommandQueue
 from probedesign.live.processing.estimates import COLUMNS, EstimateUpdate, Row, csv_line, estimate_row
-from probedesign.live.processing.plausibility import ClockMonitor
 from probedesign.live.processing.screen import SampleScreen
 from probedesign.live.processing.tare import Tare, TareWindow, Zero, describe_tare, is_free, tare_of
 from probedesign.live.sources.source import Source
@@ -83,8 +82,7 @@ def _updates(
     commands = commands or CommandQueue()
     commands.register("tare", lambda command: chain.take_tare(command.text == "force"))
     commands.register("mark", lambda command: f"mark: {command.text}")
-    clock = ClockMonitor(log)
-    for block in map(clock.marked, blocks):
+    for block in blocks:
         if sink is not None:
             sink.on_samples(block)
         for update in chain.process(block):

@@ -102,8 +102,8 @@ def test_spikes_and_a_stuck_channel_at_the_wire(estimator):
     with box(estimator, load=still) as peer:
         read, spiked, kept = peer._transducer.read, [0, 0], []
 
-        def disturbed(time, spacing, configuration):
-            counts, status = read(time, spacing, configuration)
+        def disturbed(time, configuration):
+            counts, status = read(time, configuration)
             if 20 <= len(updates) < 200:
                 for i in range(len(counts)):
                     spiked[0] += 1

@@ -68,8 +68,6 @@ class Rest:
     wrench: Array  #: in the sensor frame, bias included [N, N·m], (6,).
     std: Array  #: standard deviation of that mean by the noise of the sensor, (6,).
     R: Array  #: R_world_base, or that of the robot's flange for a tool, (3, 3).
-    count: int = 1  #: number of readings.
-    duration: float = 0.0  #: [s].
 
 
 def tool_model() -> ProbeModel:
@@ -246,9 +244,7 @@ class RestCollector:
             refused = orientations([T[:3, :3]], self._poses.gravity_world)
             self.guide = self.guide._replace(refused=np.vstack([self.guide.refused, refused]))
             return
-        self.rests.append(
-            Rest(float(time.mean()), wrench.mean(axis=0), noise / math.sqrt(n), T[:3, :3], n, float(time[-1] - time[0]))
-        )
+        self.rests.append(Rest(float(time.mean()), wrench.mean(axis=0), noise / math.sqrt(n), T[:3, :3]))
 
 
 class PayloadCheck:

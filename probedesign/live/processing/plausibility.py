@@ -1,21 +1,18 @@
 """Plausibility of the signals: readings that no working sensor gives, and poses that no robot can have.
 
 A reading with a fault has no position. Each check has a limit far beyond what a working sensor or robot does, and the
-fault ends with the first readings that pass it. `ClockMonitor` compares the sensor's clock with the arrival, which a
-recording does not contain: it marks the blocks before they are recorded. All other checks are the same in a replay.
+fault ends with the first readings that pass it. All checks are the same in a replay.
 """
 
 import math
 from collections import deque
 from collections.abc import Iterable
-from dataclasses import replace
 
 import numpy as np
 
 from probedesign.core.frames import Array
 from probedesign.estimation.model import ProbeModel
 from probedesign.live import Log
-from probedesign.live.blocks import Block
 from probedesign.live.processing.averaging import AveragedBatch, second_differences
 from probedesign.live.processing.screen import SampleScreen
 from probedesign.live.processing.tare import CHANNELS
@@ -36,12 +33,6 @@ MAX_NOISE, MIN_NOISE = 4.0, 0.02
 MIN_NOISE_RATE = 150.0
 #: Dimensions in which one force on the probe changes the six channels. Sway and touch change them in so many.
 FORCE_DIMENSIONS = 3
-#: Largest lead of the sensor's clock over its arrival that is no leap [s]. A reading that waited arrives late, never
-#: early.
-MAX_CLOCK_LEAP = 0.5
-#: Time without a leap of the clock after which readings count again [s]: five estimates at the usual 20 Hz.
-CLOCK_HOLD = 0.25
-CLOCK_SKEW = 1e-3  #: Largest difference of the rates of two clocks. Assumed: twenty times that of quartz oscillators.
 #: Largest speed [m/s] and rate of rotation [rad/s] of a base. Assumed: faster than any arm moves a probe; light arms
 #: reach 2 m/s and 7 rad/s.
 MAX_SPEED, MAX_TURN = 5.0, 15.0
@@ -63,30 +54,6 @@ class FaultReport:
             return
         self._log(f"fault: {fault}; no position until it ends" if fault else "the fault has ended")
         self._ongoing, self._reported = fault, time
-
-
-class ClockMonitor:
-    """Marks the readings after a leap of the sensor's clock, by their arrival."""
-
-    def __init__(self, log: Log) -> None:
-        """Start without readings; `log` receives beginning and end of a fault."""
-        self._report = FaultReport(log)
-        self._lead, self._until, self._reason = math.nan, -math.inf, ""
-
-    def marked(self, block: Block) -> Block:
-        """Return a block with the fault of its clock; the block itself if there is none or its arrival is unknown."""
-        largest = float((block.time - block.received).max()) if len(block) else math.nan
-        if not math.isfinite(largest):
-            return block
-        end = float(block.time[-1])
-        before, self._lead = (self._lead, max(largest, self._lead - CLOCK_SKEW * (end - float(block.time[0]))))
-        arrived = float(block.received[-1])
-        if largest > before + MAX_CLOCK_LEAP:  # never where there was none before
-            self._until = arrived + CLOCK_HOLD  # by arrival: a source that lags sends faster than its clock
-            self._reason = f"the sensor's clock leapt ahead by {largest - before:.3g} s; a leap of ft_sequence?"
-        fault = self._reason if arrived < self._until else ""
-        self._report.update(end, fault)
-        return replace(block, fault=fault) if fault and not block.fault else block
 
 
 class SignalMonitor:
