@@ -152,7 +152,6 @@ def campaign(
     *,
     seed: int = 0,
     stage: bool = False,
-    calibration: Literal["box", "files"] = "box",
     youngs_modulus_mpa: float | None = None,
     shear_modulus_mpa: float | None = None,
     marker_noise_mm: float | None = None,
@@ -174,7 +173,6 @@ def campaign(
         out: output folder.
         seed: seed of all drawn values.
         stage: touches at positions known to 0.05 mm, without cameras.
-        calibration: of the cameras: a box of control points, or calibration files of OpenCV.
         youngs_modulus_mpa: Young's modulus of the true print [MPa]. Default: drawn around the design's.
         shear_modulus_mpa: shear modulus of the true print [MPa]. Default: drawn around the design's.
         marker_noise_mm: standard deviation of the markers on each axis [mm], from a reference other than cameras.
@@ -197,7 +195,7 @@ def campaign(
         return None if value is None else value * unit
 
     plan = CampaignPlan("stage" if stage else "cameras", seed, si(youngs_modulus_mpa, MPA), si(shear_modulus_mpa, MPA),
-                si(marker_noise_mm, MM), readings, exact, calibration,
+                si(marker_noise_mm, MM), readings, exact,
                 friction, friction_spread, hold_out, flaws)  # fmt: skip
     made = make_campaign(build_probe(load_design(design)).model, out, plan, force)
     if as_json:

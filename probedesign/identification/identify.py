@@ -361,14 +361,9 @@ def _solvable(data: IdentificationData, names: Sequence[str]) -> tuple[Identific
         return data, start
     kept, lost = solvable_tests(problem, free_E)
     start = start_point(replace(problem, tests=tuple(kept)), free_E) if kept else None
-    many = len(lost) > max(1, int(MAX_LEFT_OUT * len(data.tests)))
-    if start is None or (
-        many
-        and all(unobservable_direction(start, np.ones(len(start.blocks)), (name,), START_TOLERANCE) for name in names)
-    ):
-        raise InputError(f"{data.where}: the probe buckles in {len(lost)} of {len(data.tests)} tests for any E, and "
-                         f"the others do not determine {', '.join(names)}; is it the right design, and are forces in "
-                         "their column's unit?")  # fmt: skip
+    if start is None or len(lost) > max(1, int(MAX_LEFT_OUT * len(data.tests))):
+        raise InputError(f"{data.where}: the probe buckles in {len(lost)} of {len(data.tests)} tests for any E; is it "
+                         "the right design, and are forces in their column's unit?")  # fmt: skip
     notes = tuple(f"{test.name}: not used: the probe buckles under its load" for test in lost)
     return replace(data, tests=tuple(kept), notes=(*data.notes, *notes)), start
 

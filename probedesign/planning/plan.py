@@ -2,8 +2,8 @@
 
 The information of a test on the parameters, its own unknowns marginalised, is that of `identify`: the whitened
 Jacobian of its residuals at the designed probe. Tests are chosen one after the other by the gain in D-optimality,
-½ log det of the marginal information on the requested parameters, per minute; then chosen tests are exchanged for
-others as long as that increases it. Source: V. Fedorov, Theory of Optimal Experiments, 1972.
+½ log det of the marginal information on the requested parameters, per minute. Source: V. Fedorov, Theory of Optimal
+Experiments, 1972.
 """
 
 import math
@@ -30,7 +30,7 @@ from probedesign.core.units import MM
 from probedesign.estimation.model import WALK_SECONDS, ProbeModel
 from probedesign.identification.fit_checks import conditional_estimate, unobservable_direction
 from probedesign.identification.identify import TEST_SECONDS, data_of
-from probedesign.identification.parameters import OWNER, PARAMETERS, ParameterValues, columns_of
+from probedesign.identification.parameters import COMPONENTS, OWNER, PARAMETERS, ParameterValues, columns_of
 from probedesign.identification.residuals import MassMeasurement, ResidualBlock, poisson_block
 from probedesign.identification.solver import (
     Fit,
@@ -48,7 +48,6 @@ PREPARATION = 20.0  #: Time to mount the probe, to let sensor and resin settle a
 HELD_OUT = 4  #: Touches that a plan holds out for `validate`, if the bench can touch and the time allows it.
 #: Gain of ½ log det below which a further test is not proposed: it narrows no interval by more than 1 %.
 MIN_GAIN = 0.01
-MAX_EXCHANGES = 10
 ENOUGH = 1.1  #: Ratio of a standard deviation to the final one from which on further tests are not necessary.
 #: Tests on the sensor between two free hangs at most: with 4 minutes each the bias has walked for half an hour
 #: (assumed).
@@ -233,7 +232,7 @@ class Information:
                 return self._intervals(point, names, requested), tuple(why)
             why.append(lost.description)
             requested = tuple(name for name in requested if name != lost.name)
-        return tuple(_unknown(name) for name in _components(names)), tuple(why)
+        return tuple(map(_unknown, columns_of(names))), tuple(why)
 
     def _intervals(
         self, point: Linearization, names: Sequence[str], determined: Sequence[str]
@@ -241,28 +240,23 @@ class Information:
         fit = Fit("ok", point, {})  # as designed, with every reading at full weight
         active = np.flatnonzero(point.problem.active)
         intervals, quantile = [], float(norm.ppf(0.5 + LEVEL / 2.0))
-        for label, column in zip(_components(names), columns_of(names), strict=True):
+        for column in columns_of(names):
             owner = OWNER[column]
             if owner.name not in determined:
-                intervals.append(_unknown(label))
+                intervals.append(_unknown(column))
                 continue
             i = int(np.searchsorted(active, column))
             (_, std, _), of_print = conditional_estimate(fit, column), math.sqrt(fit.cov[i, i])
             model, unit = self.bench.model, 1.0 if owner.logarithm else owner.scale
             low, high = (owner.reported(model, sign * quantile * std) for sign in (-1.0, 1.0))
-            intervals.append(
-                ExpectedInterval(label, owner.unit, unit * std, low, high, unit * of_print, owner.logarithm)
-            )
+            intervals.append(ExpectedInterval(COMPONENTS[column], owner.unit, unit * std, low, high, unit * of_print,
+                                              owner.logarithm))  # fmt: skip
         return tuple(intervals)
 
 
-def _components(names: Sequence[str]) -> list[str]:
-    return [label for name in names for label in PARAMETERS[name].labels]
-
-
-def _unknown(label: str) -> ExpectedInterval:
-    owner = next(parameter for parameter in PARAMETERS.values() if label in parameter.labels)
-    return ExpectedInterval(label, owner.unit, None, None, None, None, owner.logarithm)
+def _unknown(column: int) -> ExpectedInterval:
+    owner = OWNER[column]
+    return ExpectedInterval(COMPONENTS[column], owner.unit, None, None, None, None, owner.logarithm)
 
 
 # choice
@@ -340,7 +334,7 @@ def _scheduled(
     scheduled = tuple(candidate for candidate, _ in timed)
     last = Information(information.bench, scheduled, information.flange_volume, scheduled=True)
     done, why = list[CandidateTest](), tuple[str, ...]()
-    intervals: tuple[ExpectedInterval, ...] = tuple(_unknown(label) for label in _components(names))
+    intervals = tuple(map(_unknown, columns_of(names)))
     tests = []
     for candidate, clock in timed:
         if not candidate.held_out:
@@ -406,40 +400,16 @@ class _Choice:
         return np.asarray(0.5 * (whole - np.linalg.slogdet(matrices[..., others[:, None], others])[1]))
 
     def best(self, candidates: list[CandidateTest], minutes: float) -> list[CandidateTest]:
+        """Return tests that fit into the time, each the best after those before it."""
         total = np.eye(len(self.active)) + sum(self.matrices[candidate.name] for candidate in self.fixed)
         chosen: list[CandidateTest] = []
-        left = minutes
-        while pool := [other for other in candidates if other not in chosen and other.minutes <= left]:
-            gains = self._values(total, pool) - self.value(total)
+        while pool := [other for other in candidates if other not in chosen and other.minutes <= minutes]:
+            gains = self.value(total + np.stack([self.matrices[other.name] for other in pool])) - self.value(total)
             k = int(np.argmax(np.where(gains >= MIN_GAIN, gains / [other.minutes for other in pool], -np.inf)))
             if gains[k] < MIN_GAIN:
                 break
             chosen.append(pool[k])
-            total, left = total + self.matrices[pool[k].name], left - pool[k].minutes
-        return self._exchanged(chosen, candidates, total, left)
-
-    def _values(self, total: Array, pool: list[CandidateTest]) -> Array:
-        return self.value(total + np.stack([self.matrices[candidate.name] for candidate in pool]))
-
-    def _exchanged(
-        self, chosen: list[CandidateTest], candidates: list[CandidateTest], total: Array, left: float
-    ) -> list[CandidateTest]:
-        """Return the tests after the exchanges that increase the determinant."""
-        for _ in range(MAX_EXCHANGES):
-            best, gain = None, MIN_GAIN
-            for i, test in enumerate(chosen):
-                free = left + test.minutes
-                pool = [other for other in candidates if other not in chosen and other.minutes <= free]
-                if pool:
-                    gains = self._values(total - self.matrices[test.name], pool) - self.value(total)
-                    if gains.max() > gain:
-                        best, gain = (i, pool[int(np.argmax(gains))]), float(gains.max())
-            if best is None:
-                break
-            i, other = best
-            total = total - self.matrices[chosen[i].name] + self.matrices[other.name]
-            left += chosen[i].minutes - other.minutes
-            chosen[i] = other
+            total, minutes = total + self.matrices[pool[k].name], minutes - pool[k].minutes
         return chosen
 
 

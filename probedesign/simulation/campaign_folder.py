@@ -16,8 +16,6 @@ from probedesign.estimation.error_sources import bow_of
 from probedesign.estimation.model import WALK_SECONDS, ProbeModel
 from probedesign.simulation.ground_truth import STD_BASE, CampaignPlan, GroundTruth, SimulatedTest
 from probedesign.simulation.stereo_rig import CLICK_PX, CONTROL_PX, SIZE_PX, StereoRig
-from probedesign.vision.camera import Camera
-from probedesign.vision.camera_files import assumed_covariance
 
 TRUTH = "truth.json"
 #: Standard deviation of a contact's position, on each axis [m]: a millimetre in space by two cameras (assumed, as in
@@ -28,7 +26,6 @@ STD_SAG = 0.5 * MM  #: Of the tip's sag in a photograph with a scale [m] (assume
 STD_WEIGHING = 1e-5  #: Of a laboratory balance [kg] (assumed).
 
 TEST_SECONDS = 60.0  #: Time from one test to the next (assumed).
-FILE_PX = 0.3  #: Reprojection error that the simulated calibration files state [px] (assumed).
 
 TESTS_HEADER = (
     "test,force_x_world_N,force_y_world_N,force_z_world_N,s_contact_mm,std_s_mm,contact_x_world_mm,"
@@ -89,8 +86,6 @@ def _manifest(truth: GroundTruth, rig: StereoRig) -> str:
         if plan.marker_noise is None:
             lines += [f"side_deg = {math.degrees(rig.side):g}              # dots on the surface, this side",
                       "", "[cameras]", 'names = ["left", "right"]']  # fmt: skip
-            if plan.calibration == "files":
-                lines += ['calibration = ["left.yaml", "right.yaml"]', 'length_unit = "mm"']
         else:
             lines += [f"std_mm = {plan.marker_noise / MM:g}"]
     mass_g = 1e3 * (truth.rod.mass + np.random.default_rng([plan.seed, 1]).normal() * STD_WEIGHING)
@@ -176,27 +171,7 @@ def _markers(rig: StereoRig, tests: list[SimulatedTest], rng: np.random.Generato
                 raise InputError(f"test {test.name}: the probe leaves the cameras' field of view; use "
                                  "--marker-noise-mm 1 instead")  # fmt: skip
             pixels += [f"{test.name},{camera.name},{i},{_row(uv, 2)},{CLICK_PX:g}" for i, uv in enumerate(seen, 1)]
-    calibrated = {"control_points.csv": "\n".join(control) + "\n"}
-    if plan.calibration == "files":
-        target = rig.truth.T_world_base[:3, 3]
-        drawn = np.random.default_rng([plan.seed, 3])
-        calibrated = {f"{camera.name}.yaml": calibration_yaml(camera, target, drawn) for camera in rig.cameras}
-    return {**calibrated, "pixels.csv": "\n".join(pixels) + "\n"}
-
-
-def calibration_yaml(camera: Camera, target_world: Array, rng: np.random.Generator) -> str:
-    """Return OpenCV's YAML of a camera with its pose in the world in mm, its parameters drawn as far off as assumed."""
-    distance = float(np.linalg.norm(camera.p_world - target_world))
-    std = np.sqrt(np.diag(assumed_covariance(camera, FILE_PX, distance)))
-    stated = camera.moved(std * rng.normal(size=len(std)))
-    R = stated.R_camera_world
-    matrices = {"camera_matrix": stated.K, "distortion_coefficients": np.append(stated.distortion, 0.0)[:, None],
-                "R": R, "T": (-R @ stated.p_world / MM)[:, None]}  # fmt: skip
-    lines = ["%YAML:1.0", "---", f"image_width: {SIZE_PX[0]}", f"image_height: {SIZE_PX[1]}"]
-    for key, matrix in matrices.items():
-        lines += [f"{key}: !!opencv-matrix", f"   rows: {matrix.shape[0]}", f"   cols: {matrix.shape[1]}", "   dt: d",
-                  f"   data: [ {', '.join(f'{x:.16e}' for x in matrix.ravel())} ]"]  # fmt: skip
-    return "\n".join([*lines, f"avg_reprojection_error: {FILE_PX:.16e}", ""])
+    return {"control_points.csv": "\n".join(control) + "\n", "pixels.csv": "\n".join(pixels) + "\n"}
 
 
 def _truth(truth: GroundTruth, tests: list[SimulatedTest]) -> str:

@@ -23,7 +23,6 @@ from probedesign.rod.friction import ASSUMED_SPREAD, MAX_FRICTION, draw_friction
 from probedesign.rod.rod import Rod
 
 CampaignKind = Literal["cameras", "stage"]
-CalibrationKind = Literal["box", "files"]
 LARGE_LENGTH, LARGE_BASE_RADIUS, LARGE_TIP_RADIUS = 150.0 * MM, 6.0 * MM, 1.0 * MM
 LARGE_MODULUS = 2.32e6  #: Dimensions [m] and modulus [Pa] of the paper's large probe, from which forces are scaled.
 MARKER_SPACING = 10.0 * MM  #: Of equidistant markers [m]: that of the paper, about a centimetre.
@@ -54,8 +53,6 @@ class CampaignPlan:
     marker_noise: float | None = None  #: of markers by another reference, on each axis [m]; None for two cameras.
     readings: int = 5  #: of the sensor in each test, each the mean of the design's averaging_samples.
     exact: bool = False  #: the true probe is the design's and at the stated pose; only readings and pictures are noisy.
-    #: of the cameras: by a box of control points, or files of another program.
-    calibration: CalibrationKind = "box"
     #: median friction coefficient μ of touches; 0 is without friction. None: [contact] friction of the design with
     #: flaws of the bench, else 0.
     friction: float | None = None
@@ -79,8 +76,6 @@ class CampaignPlan:
             raise InputError(f"--seed {self.seed} must not be negative")
         if self.kind == "stage" and self.marker_noise is not None:
             raise InputError("--stage has no markers: leave out --marker-noise-mm")
-        if self.calibration != "box" and (self.kind == "stage" or self.marker_noise is not None):
-            raise InputError("--calibration is that of cameras: leave out --stage and --marker-noise-mm")
 
 
 class PlannedTouch(NamedTuple):

@@ -14,9 +14,6 @@ SIZE_PX = (1600, 1200)
 #: Picture and focal length of a compact camera, reduced to keep examples small (assumed); the paper's has 20
 #: megapixels.
 FOCAL_PX = 2200.0
-#: Coefficients of distortion by the kind of calibration, as many as it determines by default (assumed: a barrel of 0.8
-#: % at the edge of the picture).
-LENS = {"box": (), "files": (-0.08, 0.05, 5e-4, -5e-4)}
 #: Of each camera to its side: 70° between the lines of sight give depth about the precision of the other axes.
 AZIMUTH = math.radians(35.0)
 ELEVATION = math.radians(20.0)
@@ -68,8 +65,7 @@ class StereoRig:
         for name, angle in (("left", -AZIMUTH), ("right", AZIMUTH)):
             direction = np.array([math.sin(angle), -math.cos(angle), math.tan(ELEVATION)])
             p = centre + distance * direction / np.linalg.norm(direction)
-            lens = LENS[self.truth.plan.calibration]
-            cameras.append(Camera.looking(name, p, centre, FOCAL_PX, SIZE_PX, lens))
+            cameras.append(Camera.looking(name, p, centre, FOCAL_PX, SIZE_PX))
         return cameras[0], cameras[1]
 
     def markers(self, test: SimulatedTest) -> Array:

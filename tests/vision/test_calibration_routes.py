@@ -14,9 +14,10 @@ from probedesign.simulation.campaign_folder import make_campaign
 from probedesign.simulation.ground_truth import CampaignPlan, GroundTruth
 from probedesign.simulation.stereo_rig import StereoRig
 from probedesign.vision.markers import write_png
+from tests.vision.scene import calibrate_by_files
 
 DESIGN = Path(__file__).parents[2] / "designs" / "large.toml"
-PLAN = CampaignPlan(seed=1, calibration="files")
+PLAN = CampaignPlan(seed=1)
 
 
 @pytest.fixture(scope="module")
@@ -30,9 +31,10 @@ def rig(model):
 
 
 @pytest.fixture(scope="module")
-def made(model, tmp_path_factory):
+def made(model, rig, tmp_path_factory):
     folder = tmp_path_factory.mktemp("routes") / "files"
     make_campaign(model, folder, PLAN)
+    calibrate_by_files(folder, rig, 1)
     return folder
 
 
