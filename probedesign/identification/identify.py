@@ -301,7 +301,7 @@ def identify(data: IdentificationData, names: Sequence[str] = DEFAULT, accept: b
          *outlier_notes(blocks, outlying),
          *_remarks(fitted, student)),
         residuals, time.perf_counter() - begun, likely_causes=causes,
-        served=tuple(test.digest for test in data.tests if test.name in used_tests),
+        served=tuple(test.digest for test in data.tests if test.digest and test.name in used_tests),
     )  # fmt: skip
     if not why:
         return replace(whole, notes=(*whole.notes, result.farthest_tests(whole.residuals))) if warnings else whole

@@ -2,8 +2,8 @@
 
 The information of a test on the parameters, its own unknowns marginalised, is that of `identify`: the whitened
 Jacobian of its residuals at the designed probe. Tests are chosen one after the other by the gain in D-optimality,
-½ log det of the marginal information on the requested parameters, per minute. Source: V. Fedorov, Theory of Optimal
-Experiments, 1972.
+½ log det of the marginal information on the requested parameters, per minute; then chosen tests are exchanged for
+others as long as that increases it. Source: V. Fedorov, Theory of Optimal Experiments, 1972.
 """
 
 import math
@@ -52,6 +52,7 @@ ENOUGH = 1.1  #: Ratio of a standard deviation to the final one from which on fu
 #: Tests on the sensor between two free hangs at most: with 4 minutes each the bias has walked for half an hour
 #: (assumed).
 HANG_EVERY = 8
+MAX_EXCHANGES = 10
 LEVEL = 0.95
 #: Measurements away from the sensor come first. The others keep one set-up after the other.
 ORDER: tuple[SetUp, ...] = ("weighing", "calipers", "hang", "weight", "turned", "touch")
@@ -399,17 +400,35 @@ class _Choice:
         whole = np.linalg.slogdet(matrices)[1]
         return np.asarray(0.5 * (whole - np.linalg.slogdet(matrices[..., others[:, None], others])[1]))
 
+    def _values(self, total: Array, pool: list[CandidateTest]) -> Array:
+        return np.asarray(self.value(total + np.stack([self.matrices[other.name] for other in pool])))
+
     def best(self, candidates: list[CandidateTest], minutes: float) -> list[CandidateTest]:
-        """Return tests that fit into the time, each the best after those before it."""
+        """Return tests that fit into the time: each the best after those before it, then exchanged for better ones."""
         total = np.eye(len(self.active)) + sum(self.matrices[candidate.name] for candidate in self.fixed)
         chosen: list[CandidateTest] = []
         while pool := [other for other in candidates if other not in chosen and other.minutes <= minutes]:
-            gains = self.value(total + np.stack([self.matrices[other.name] for other in pool])) - self.value(total)
+            gains = self._values(total, pool) - self.value(total)
             k = int(np.argmax(np.where(gains >= MIN_GAIN, gains / [other.minutes for other in pool], -np.inf)))
             if gains[k] < MIN_GAIN:
                 break
             chosen.append(pool[k])
             total, minutes = total + self.matrices[pool[k].name], minutes - pool[k].minutes
+        for _ in range(MAX_EXCHANGES if chosen else 0):
+            exchanges = []
+            for i, test in enumerate(chosen):
+                pool = [
+                    other for other in candidates if other not in chosen and other.minutes <= minutes + test.minutes
+                ]
+                if pool:
+                    gains = self._values(total - self.matrices[test.name], pool)
+                    exchanges.append((float(gains.max()), i, pool[int(np.argmax(gains))]))
+            largest, i, other = max(exchanges, key=lambda exchange: exchange[0], default=(-np.inf, 0, chosen[0]))
+            if largest - self.value(total) < MIN_GAIN:
+                break
+            total = total - self.matrices[chosen[i].name] + self.matrices[other.name]
+            minutes += chosen[i].minutes - other.minutes
+            chosen[i] = other
         return chosen
 
 
