@@ -7,6 +7,7 @@ error squared, is χ² with as many degrees of freedom as axes if the covariance
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import cached_property
 from itertools import count
 from typing import Any, Literal
 
@@ -108,24 +109,6 @@ def cov_of_reference(campaign: Campaign, p_base: Array) -> Array:
     return np.asarray(pose + LENGTH_SCALE**2 * along)
 
 
-def predicted_error(model: ProbeModel, fraction: float, force: float, push_direction: str) -> float:
-    """Return the RMS error that `predict` states for such a touch, full error budget: one reading, the design's own
-    mount and tolerances, no reference [m]. NaN if it predicts no location, or if an argument is missing.
-
-    Args:
-        model: of the probe.
-        fraction: contact over length.
-        force: [N].
-        push_direction: of the object, a key of `DIRECTIONS`.
-    """
-    if not 0.0 < fraction <= 1.0 or not force > 0.0 or not push_direction:
-        return math.nan
-    predicted = predict_touch(Estimator(model), fraction, force, push_direction)
-    if predicted.result != "ok" or predicted.predicted_error_mm is None:
-        return math.nan
-    return predicted.predicted_error_mm * MM
-
-
 # the test
 
 
@@ -166,7 +149,9 @@ class ValidatedTest:
     contact_base: Array | None  #: by the reference [m], (3,); None if not measured.
     #: of the object, as stated or by the force, a key of `DIRECTIONS`; empty if neither is available.
     push_direction: str
-    predicted: float  #: error that `predict` states for such a touch [m]; NaN for weights, which it does not predict.
+    #: RMS error that `predict` states for such a touch [m]: full budget, one reading, the design's own mount and
+    #: tolerances, no reference; NaN for what it does not locate, and for weights, which it does not predict.
+    predicted: float
     contact_error: ContactError | None  #: None if either side has no contact.
     readings: int  #: number of readings.
     tares: int  #: number of free tests that it was tared by.
@@ -219,13 +204,16 @@ def validate_test(campaign: Campaign, test: Test, estimator: Estimator, exact: b
         axis = int(np.argmax(np.abs(across)))
         direction = f"{'+' if across[axis] > 0.0 else '-'}{'xy'[axis]}"
     s = estimate.s_contact if math.isnan(test.s_contact) and estimate is not None else test.s_contact
-    fraction = s / model.rod.length
+    fraction, predicted_mm = s / model.rod.length, None
+    if kind == "touch" and 0.0 < fraction <= 1.0 and force > 0.0 and direction:
+        touch = predict_touch(Estimator(model), fraction, force, direction)
+        predicted_mm = touch.predicted_error_mm if touch.result == "ok" else None
     shape_rms = math.sqrt(float(np.mean(np.sum((hat - markers) ** 2, axis=1)))) if len(hat) else math.nan
     reference_rms = math.sqrt(float(np.mean(np.trace(cov, axis1=1, axis2=2)))) if len(markers) else math.nan
     return ValidatedTest(
         test, kind, method, "no_reading" if estimate is None else estimate.result, estimate, shape, force, fraction,
         markers, hat, off, shape_rms, reference_rms, contact, direction,
-        predicted=predicted_error(model, fraction, force, direction) if kind == "touch" else math.nan,
+        predicted=math.nan if predicted_mm is None else predicted_mm * MM,
         contact_error=contact_error(campaign, test, estimate, contact),
         readings=len(reading.wrenches_base), tares=reading.tares,
         served=test.digest in model.identified_tests,
@@ -371,10 +359,6 @@ class Coverage:
     ratio_high: float = math.nan
     nees_low: float = math.nan  #: nees_low, nees_high: 95 % interval of that mean if the covariances are correct.
     nees_high: float = math.nan
-    #: z_mean, z_std: of the errors over their standard deviations along the base's axes x, y, z; empty with less than
-    #: two touches.
-    z_mean: tuple[float, ...] = ()
-    z_std: tuple[float, ...] = ()
     words: tuple[str, ...] = ()  #: further lines of the assessment.
 
 
@@ -412,8 +396,6 @@ def coverage_of(tests: Sequence[ValidatedTest], exact: bool) -> Coverage:
     ratio = sum(error.nees for error in errors) / dof
     expected_low, expected_high = (float(chi2.ppf(tail, dof)) / dof for tail in (0.025, 0.975))
     ratio_low, ratio_high = ratio / expected_high, ratio / expected_low
-    z = np.array([error.z for error in errors if error.dof == 3]).reshape(-1, 3)
-    mean, std = (z.mean(axis=0), z.std(axis=0, ddof=1)) if len(z) > 1 else (z[0:0], z[0:0])
     level, needed = _level(n), touches_needed(LARGER, min(error.dof for error in errors))
     if binomtest(within, n).proportion_ci(level).high < NOMINAL or chi2.sf(ratio * dof, dof) < 0.5 * (1.0 - level):
         verdict = "too_small"
@@ -436,8 +418,7 @@ def coverage_of(tests: Sequence[ValidatedTest], exact: bool) -> Coverage:
     words.append("touches of one print share the errors of its stiffness, size and pose, so these intervals are "
                  "narrower than one campaign justifies")  # fmt: skip
     return Coverage(verdict, sentence, n, within, needed, float(share.low), float(share.high), ratio, ratio_low,
-                    ratio_high, expected_low, expected_high, tuple(mean.ravel().tolist()), tuple(std.ravel().tolist()),
-                    (*words, *_of_weights(tests)))  # fmt: skip
+                    ratio_high, expected_low, expected_high, (*words, *_of_weights(tests)))  # fmt: skip
 
 
 def _of_weights(tests: Sequence[ValidatedTest]) -> tuple[str, ...]:
@@ -477,13 +458,18 @@ class ValidationReport:
     campaign: Campaign  #: the data.
     exact: bool  #: whether the probe was taken as exactly known.
     tests: tuple[ValidatedTest, ...]  #: free ones first, then along the probe and from strong to weak, as Table I.
-    coverage: Coverage  #: of the stated covariances, by the tests that are judged.
     include_identified: bool = False  #: whether tests that served the identification are judged as well.
 
     @property
     def judged(self) -> tuple[ValidatedTest, ...]:
-        """Tests that the statistics are of: those held out of the identification, if not all are included."""
-        return judged(self.tests, self.include_identified)
+        """Tests that the statistics are of: those held out of the identification, if not all are included; free ones
+        always."""
+        return tuple(test for test in self.tests if self.include_identified or not test.served or test.kind == "free")
+
+    @cached_property
+    def coverage(self) -> Coverage:
+        """Coverage of the stated covariances, by the tests that are judged."""
+        return coverage_of(self.judged, self.exact)
 
     @property
     def unexpected(self) -> tuple[ValidatedTest, ...]:
@@ -615,13 +601,7 @@ def validate(
     kinds = ("free", "weight", "touch")
     tests.sort(key=lambda test: (kinds.index(test.kind), 2.0 if math.isnan(test.fraction) else round(test.fraction, 2),
                                  -test.force))  # fmt: skip
-    coverage = coverage_of(judged(tests, include_identified), exact)
-    return ValidationReport(estimator, campaign, exact, tuple(tests), coverage, include_identified)
-
-
-def judged(tests: Sequence[ValidatedTest], include_identified: bool) -> tuple[ValidatedTest, ...]:
-    """Return the tests that the parameters of the probe were not identified from, or all; free ones always."""
-    return tuple(test for test in tests if include_identified or not test.served or test.kind == "free")
+    return ValidationReport(estimator, campaign, exact, tuple(tests), include_identified)
 
 
 def _plain(value: Any) -> Any:
