@@ -36,8 +36,6 @@ def live(
     ],
     source: list[str],
     record: Path | None = None,
-    split_mb: float | None = None,
-    split_minutes: float | None = None,
     force: bool = False,
     tare_s: str | None = None,
     tare: Tare | None = None,
@@ -79,8 +77,6 @@ def live(
             replay:FILE (a recording), udp://:PORT (wrenches in JSON or MessagePack), ros2://TOPIC, or sim: (a simulated
             contact that moves along the probe).
         record: record everything to NAME.mcap, or raw readings to NAME.csv.
-        split_mb: continue the recording in NAME-2, NAME-3, ... after this many megabytes.
-        split_minutes: the same after this many minutes.
         force: replace an existing recording.
         tare_s: START:END of the tare in seconds after the first reading. The probe must be free then.
         tare: without --tare-s: auto takes the first second at rest, when the probe must be free; none trusts the
@@ -166,7 +162,6 @@ def live(
         terminal=not (lines or as_json) and _is_terminal(),
         parts_folders=[each if each.is_dir() else each.parent for each in bundles],
         metadata={name: _setting_text(value) for name, value in settings.items()},
-        split=(split_mb, split_minutes),
         foxglove=foxglove_address,
         guard=guard,
         limits=Limits(limit_force_N, limit_moment_Nm),

@@ -5,7 +5,6 @@ import os
 import subprocess
 import sys
 import threading
-import time
 from contextlib import closing
 from dataclasses import replace
 
@@ -22,7 +21,6 @@ from probedesign.live.run import estimate_stream
 from probedesign.live.sources.replay import open_recording
 from probedesign.live.sources.sim import SimulatedSource
 from tests.live.mcap_files import TIME_ROUNDING, block, joined, read, same
-from tests.live.peers import until
 
 SIM = "speed=max&rate_hz=60&seconds=4"
 
@@ -195,75 +193,6 @@ def test_a_second_writer_on_the_same_file_is_refused_and_leaves_it_whole(model, 
     assert log_lines[-1] == f"recorded 5 readings to {path}"
     assert sum(map(len, open_recording(path, model).blocks())) == 5
     RecordingSink(path, [model], print, force=True).start()  # the lock ends with the writer
-
-
-@pytest.mark.parametrize("kind", ["mcap", "csv"])
-def test_a_recording_is_split_by_size_without_a_reading_lost(model, tmp_path, kind):
-    log_lines, path = [], tmp_path / f"r.{kind}"
-    sink = RecordingSink(path, [model], log_lines.append, split_mb=0.04)
-    sink.start()
-    sink._current._flush_period = 0.0
-    written = [block(i * 100, 100) for i in range(12)]
-    for each in written:
-        sink.on_samples(each)
-        time.sleep(0.06)  # longer than readings are gathered for one write
-    sink.close()
-    paths = [path, *(tmp_path / f"r-{i}.{kind}" for i in range(2, len(list(tmp_path.iterdir())) + 1))]
-    assert len(paths) > 2
-    blocks = [each for part in paths for each in open_recording(part, model).blocks()]
-    assert joined(blocks) == joined(written)
-    assert all(open_recording(part, model).missing() == () for part in paths)
-    assert log_lines[-1] == f"recorded 1200 readings to {paths[0]} ... {paths[-1].name}"
-    assert [line for line in log_lines if "continues in" in line] == [
-        f"recording continues in {part}" for part in paths[1:]
-    ]
-
-
-def test_no_part_of_a_split_recording_is_replaced_while_it_is_written(model, tmp_path):
-    """The first part, an earlier one and the current one; a recording with such a name beside it is not concerned."""
-    path = tmp_path / "r.csv"
-    with closing(RecordingSink(path, [model], print, split_mb=0.001)) as sink:
-        sink.start()
-        for i in range(4):
-            sink.on_samples(block(i * 10, 10))
-            until(lambda i=i: sink._current.readings == 10 * i + 10)
-        contents = {part: part.read_bytes() for part in tmp_path.iterdir()}
-        assert len(contents) == 4
-        for part in contents:
-            with pytest.raises(InputError, match="another program is writing"):
-                RecordingSink(part, [model], print, force=True).start()
-        assert {part: part.read_bytes() for part in tmp_path.iterdir()} == contents
-        with closing(RecordingSink(tmp_path / "q-2.csv", [model], print)) as other:
-            other.start()
-    for part in contents:
-        with closing(RecordingSink(part, [model], print, force=True)) as other:
-            other.start()
-
-
-def test_complete_parts_may_be_moved_while_the_recording_continues(model, tmp_path):
-    path = tmp_path / "r.csv"
-    with closing(RecordingSink(path, [model], print, split_mb=0.001)) as sink:
-        sink.start()
-        for i in range(4):
-            sink.on_samples(block(i * 10, 10))
-            until(lambda i=i: sink._current.readings == 10 * i + 10)
-            path.unlink(missing_ok=True)
-        assert not sink._current.failure
-    assert sorted(part.name for part in tmp_path.iterdir()) == ["r-2.csv", "r-3.csv", "r-4.csv"]
-
-
-def test_a_recording_is_split_by_time(model, tmp_path):
-    path = tmp_path / "r.csv"
-    sink = RecordingSink(path, [model], print, split_minutes=0.0025)
-    sink.start()
-    sink._current._flush_period = 0.0
-    for i in range(5):
-        sink.on_samples(block(i * 10, 10))
-        time.sleep(0.1)
-    sink.close()
-    files = list(tmp_path.iterdir())
-    assert len(files) > 1
-    assert sum(len(read_recording(each).time) for each in files) == 50
 
 
 def test_csv_and_mcap_contain_the_same_readings_with_their_faults(model, tmp_path):

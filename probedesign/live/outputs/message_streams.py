@@ -55,10 +55,9 @@ class FoxgloveServer(MessageEncoder):
     Attributes:
         url: address of the server.
         readings: 0; a server keeps nothing (see `RecordingFile`).
-        size: 0, since there is no file.
     """
 
-    readings = size = 0
+    readings = 0
 
     def __init__(self, models: Sequence[ProbeModel], address: tuple[str, int]) -> None:
         """Start the server for the probes of a run.

@@ -1,6 +1,5 @@
 """The outputs that the user of a run selected, and their sinks."""
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
@@ -38,8 +37,6 @@ class OutputOptions:
     terminal: bool  #: whether a live table is shown on the terminal.
     parts_folders: Sequence[Path]  #: folders of the exported parts of each probe, which the page shows.
     metadata: Mapping[str, str]  #: options of the run, stored in the recording.
-    #: size [10⁶ bytes] and duration [min] from which a recording continues in a new file; None: any.
-    split: tuple[float | None, float | None] = (None, None)
     foxglove: tuple[str, int] | None = None  #: host and port of the Foxglove server; None serves none.
     guard: str | None = None  #: address of the events of guarded motion; None: nothing is guarded.
     limits: Limits = field(default_factory=Limits)  #: its limits.
@@ -49,12 +46,8 @@ class OutputOptions:
         """Refuse to replace an existing file unasked, or to replace a recording that is replayed.
 
         Raises:
-            InputError: this would happen, the suffix of the file is unknown, several probes share a table, or a limit
-                of a file is not positive.
+            InputError: this would happen, the suffix of the file is unknown, or several probes share a table.
         """
-        for name, value in zip(("--split-mb", "--split-minutes"), self.split, strict=True):
-            if value is not None and not 0.0 < value < math.inf:
-                raise InputError(f"{name} {value:g} must be a positive number")
         record = self.record
         if record is None:
             return
@@ -83,7 +76,7 @@ class OutputOptions:
         models = [estimator.model for estimator in estimators.values()]
         if publisher is not None:
             sinks.add(publisher)  # the first of them: a controller waits for it
-        recordings = RecordingSink(self.record, models, sinks.log, self.force, self.metadata, *self.split)
+        recordings = RecordingSink(self.record, models, sinks.log, self.force, self.metadata)
         commands.register("start recording", lambda command: recordings.start())
         commands.register("stop recording", lambda command: recordings.stop())
         sinks.add(recordings)

@@ -1,7 +1,5 @@
 """Recording sink: one file after another, each started and stopped on request and written by a background thread."""
 
-import math
-import os
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -19,7 +17,6 @@ from probedesign.live import Log
 from probedesign.live.blocks import Block
 from probedesign.live.outputs.sinks import Sink, SinkGroup
 from probedesign.live.priority import yield_to_estimates
-from probedesign.live.recordings import lock_file, part_path
 
 MAX_QUEUED_READINGS = 65_536  #: Maximum number of queued readings: 9 s at the 7000 Hz of a Net F/T box, 5 MB.
 FLUSH_PERIOD = 0.5  #: Period of flushing to the disk [s]; a crash of the program loses at most this and the queue.
@@ -36,10 +33,6 @@ class RecordingFile(Sink, Protocol):
     @property
     def readings(self) -> int:
         """Number of readings in the file, without those that wait for the next flush."""
-
-    @property
-    def size(self) -> int:
-        """Length of the file [bytes]."""
 
     def flush(self) -> None:
         """Pass everything to the operating system; from then on it survives this program."""
@@ -64,16 +57,10 @@ class BackgroundWriter(Sink):
         max_queued: int = MAX_QUEUED_READINGS,
         flush_period: float = FLUSH_PERIOD,
         cause: str = "the disk",
-        next_file: Callable[[RecordingFile], RecordingFile] = lambda file: file,
     ) -> None:
-        """Start the thread, which alone uses the file from now on.
-
-        `cause` names what may be too slow. `next_file` returns the file in which a recording continues, before
-        readings are written: the current one, or another after that has been closed.
-        """
+        """Start the thread, which alone uses the file from now on; `cause` names what may be too slow."""
         self._file, self._name, self._log = file, name, log
         self._max_queued, self._flush_period, self._cause = max_queued, flush_period, cause
-        self._next_file, self._n_before = next_file, 0
         self._queue: SimpleQueue[Job | None] = SimpleQueue()
         self._queued = self._done = 0
         self._counting = threading.Lock()  # events come from several threads
@@ -86,21 +73,13 @@ class BackgroundWriter(Sink):
 
     @property
     def readings(self) -> int:
-        """Number of readings in the files."""
-        return self._n_before + self._file.readings
+        """Number of readings in the file."""
+        return self._file.readings
 
     def on_samples(self, block: Block) -> None:
         """Queue readings; see `Sink`."""
-
-        def write() -> None:
-            following = self._next_file(self._file)
-            if following is not self._file:
-                self._n_before += self._file.readings
-                self._file = following
-            self._file.on_samples(block)
-
         self._probe = block.probe
-        if self._enqueue(len(block) or 1, write):
+        if self._enqueue(len(block) or 1, lambda: self._file.on_samples(block)):
             return
         if not self.dropped:
             self._log(f"{self._name}: {self._cause} is too slow; readings are dropped")
@@ -215,8 +194,6 @@ class RecordingSink(SinkGroup):
         log: Log,
         force: bool = False,
         metadata: Mapping[str, str] | None = None,
-        split_mb: float | None = None,
-        split_minutes: float | None = None,
     ) -> None:
         """Prepare to record; no file is opened.
 
@@ -226,25 +203,19 @@ class RecordingSink(SinkGroup):
             models: probes of the run.
             force: whether the first file may replace an existing one.
             metadata: additional metadata of an MCAP file.
-            split_mb: length of a file from which the recording continues in a new one [10⁶ bytes]; None: any.
-            split_minutes: the same by its duration, by the computer's clock [min].
         """
         super().__init__()  # with the writer as its only sink while it records
         name = "-".join(model.name for model in models)
         self._named = path or DEFAULT_FOLDER / f"{name}-{datetime.now():%Y%m%d-%H%M%S}.mcap"
         self._models, self._log, self._metadata = models, log, metadata or {}
         self._force = force and path is not None
-        self._max_size, self._max_time = 1e6 * (split_mb or math.inf), 60.0 * (split_minutes or math.inf)
         self._current: BackgroundWriter | None = None
-        self._number = 0  # of the newest file
-        self._paths: list[Path] = []
-        self._opened = -math.inf
-        self._first_lock: int | None = None
+        self._number, self._path = 0, self._named  # of the newest file
 
     @property
     def path(self) -> Path | None:
         """Path of the current file, or None."""
-        return self._paths[-1] if self._current is not None else None
+        return self._path if self._current is not None else None
 
     def state(self) -> tuple[str, str]:
         """Return what is recorded, and why the recording ended by itself; each may be empty."""
@@ -264,30 +235,14 @@ class RecordingSink(SinkGroup):
         if self._current is not None and not self._current.failure:
             raise InputError(f"recording to {self.path} is already active")
         self.close()
-        self._paths = []
-        file = self._open_next()
-        self._current = BackgroundWriter(file, str(self._paths[0]), self._log, next_file=self._next_file)
-        self.add(self._current)
-        return f"recording to {self.path}"
-
-    def _open_next(self) -> RecordingFile:
         number, path = self._number + 1, self._named
-        while number > 1 and (path := part_path(self._named, number)).exists():
+        while number > 1 and (path := self._named.with_stem(f"{self._named.stem}-{number}")).exists():
             number += 1
         file = open_recording_file(path, self._models, self._force and number == 1, self._metadata)
-        self._number, self._opened = number, time.monotonic()
-        self._paths.append(path)
-        return file
-
-    def _next_file(self, file: RecordingFile) -> RecordingFile:
-        if file.size < self._max_size and time.monotonic() - self._opened < self._max_time:
-            return file
-        file.close()
-        with suppress(OSError):  # the user has moved it
-            self._first_lock = lock_file(self._paths[0]) if self._first_lock is None else self._first_lock
-        following = self._open_next()
-        self._log(f"recording continues in {self._paths[-1]}")
-        return following
+        self._number, self._path = number, path
+        self._current = BackgroundWriter(file, str(path), self._log)
+        self.add(self._current)
+        return f"recording to {path}"
 
     def stop(self) -> str:
         """Close the file, and return a line that names it.
@@ -299,13 +254,8 @@ class RecordingSink(SinkGroup):
             raise InputError("no recording is active")
         writer, self._current, self._sinks = self._current, None, []
         writer.close()
-        if self._first_lock is not None:
-            os.close(self._first_lock)
-            self._first_lock = None
-        first, last = self._paths[0], self._paths[-1]
-        files = f"{last}" if first == last else f"{first} ... {last.name}"
         early = f"; it ended early: {writer.failure}" if writer.failure else ""
-        return f"recorded {writer.readings} readings to {files}{early}"
+        return f"recorded {writer.readings} readings to {self._path}{early}"
 
     def close(self) -> None:
         """Close the current file, if any, and report it."""

@@ -1,7 +1,6 @@
 """Recordings: CSV with raw readings, and MCAP with standard ROS 2 messages in a file that survives a crash."""
 
 import os
-import re
 import sys
 from pathlib import Path
 
@@ -36,15 +35,10 @@ class AppendFile:
                 raise InputError(f"{path}: cannot be written: it is a link to another file; name that file")
             if force and path.exists() and not path.is_file():  # a pipe would block until someone reads it
                 raise InputError(f"{path}: cannot be written: it is not a regular file")
-            # a part of a recording whose first file is locked: its series is being written
-            stem, number = re.fullmatch(r"(.*?)(-\d+)?", path.stem, re.DOTALL).groups()  # type: ignore[union-attr]  # always matches
-            first = path.with_stem(stem) if number and stem else path
-            if first != path and path.exists() and first.is_file():
-                os.close(lock_file(first))
             self._file = os.open(path, flags, 0o666)
             if not _lock(self._file):
                 os.close(self._file)
-                raise _locked(path)
+                raise InputError(f"{path}: another program is writing this file; choose another name")
             os.ftruncate(self._file, 0)  # only now: the file of another writer is left as it is
         except FileExistsError:
             raise exists_already(path) from None
@@ -88,29 +82,6 @@ class AppendFile:
         """Close and delete the file."""
         self.close()
         self._path.unlink(missing_ok=True)
-
-
-def part_path(path: Path, number: int) -> Path:
-    """Return the path of a part of the recording that begins with a path: NAME-2, NAME-3, ..."""
-    return path.with_stem(f"{path.stem}-{number}")
-
-
-def lock_file(path: Path) -> int:
-    """Lock a file that has been written against other writers; return its descriptor, whose end releases the lock.
-
-    Raises:
-        InputError: another program is writing it.
-        OSError: it cannot be opened.
-    """
-    file = os.open(path, os.O_RDONLY)
-    if not _lock(file):
-        os.close(file)
-        raise _locked(path)
-    return file
-
-
-def _locked(path: Path) -> InputError:
-    return InputError(f"{path}: another program is writing this file; choose another name")
 
 
 def _lock(file: int) -> bool:

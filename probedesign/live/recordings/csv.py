@@ -189,11 +189,6 @@ class CsvRecorder(Sink):
             self._file.discard()
             raise
 
-    @property
-    def size(self) -> int:
-        """Length of the file [bytes]."""
-        return self._file.tell()
-
     def on_samples(self, block: Block) -> None:
         """Write one line per reading."""
         fault = one_line(block.fault).translate(_NO_DELIMITERS)

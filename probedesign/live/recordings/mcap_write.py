@@ -129,11 +129,6 @@ class McapRecorder(MessageEncoder):
         self._add_metadata(CLOCK_NAME, {OFFSET_KEY: str(encoder.clock_offset)} | of)
         encoder.encode_static()
 
-    @property
-    def size(self) -> int:
-        """Length of the file, with what waits for the next flush [bytes]."""
-        return self._file.tell()
-
     def flush(self) -> None:
         """End the chunk and pass it to the operating system; raises OSError, which leaves the file unchanged."""
         self.encode()
