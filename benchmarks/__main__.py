@@ -8,7 +8,7 @@ from benchmarks.timing import print_machine
 
 #: Benchmarks by module. Each is imported when it runs, because worker processes import this module again.
 PARTS = ("rod", "start", "install", "estimation", "curved", "identify", "pictured",
-         "planning", "table1", "optimisation", "export", "live", "recording", "view", "studio",
+         "planning", "table1", "optimisation", "export", "live", "view", "studio",
          "pictures", "day", "motion", "explore", "shapes", "coverage", "twin", "real")  # fmt: skip
 
 

@@ -1,4 +1,4 @@
-"""Cost of a fresh installation: time to install, first solve, first estimate, later processes, and sizes.
+"""Cost of a fresh installation: time to install, first solve, first estimate, later processes.
 
 A copy of the working tree is installed by `pip install` into a new virtual environment. Its dependencies are those of
 the current environment, so that only the compilation is measured. Only the build back end is downloaded.
@@ -9,21 +9,14 @@ import os
 import resource
 import shutil
 import subprocess
-import sys
 import sysconfig
 import tempfile
 import time
 import venv
-from importlib import metadata
 from pathlib import Path
 
-from packaging.requirements import Requirement
-from packaging.utils import canonicalize_name
-
 from benchmarks.timing import print_table
-from probedesign.cli.doctor import ENABLES
 
-PACKAGE = "probedesign"
 ROOT = Path(__file__).parents[1]
 LATER = 3  #: Number of later processes.
 SCRIPT = """
@@ -108,60 +101,10 @@ def measure(folder: Path, precompile: str) -> list[list[str]]:
     ]  # fmt: skip
 
 
-def packages_of(extra: str) -> set[str]:
-    """Return the distributions that the project installs with an extra, "" for none, as far as they are here."""
-    found, seen = set[str](), set[tuple[str, str]]()
-    wanted = [(PACKAGE, extra)]
-    while wanted:
-        name, chosen = wanted.pop()
-        if (name, chosen) in seen:
-            continue
-        seen.add((name, chosen))
-        try:
-            lines = metadata.requires(name) or []
-        except metadata.PackageNotFoundError:
-            continue
-        found.add(name)
-        for requirement in map(Requirement, lines):
-            if requirement.marker is None or requirement.marker.evaluate({"extra": chosen}):
-                wanted += [(canonicalize_name(requirement.name), one) for one in ("", *requirement.extras)]
-    return found - {PACKAGE}
-
-
-def size_of(name: str) -> float:
-    """Return the size of a distribution's installed files [MB]."""
-    files = [file.locate() for file in metadata.files(name) or []]
-    return sum(Path(file).stat().st_size for file in files if Path(file).is_file()) / 1e6
-
-
-def sizes() -> list[list[str]]:
-    """Return the packages of each extra of `all` and their sizes: what they add to `pip install .`."""
-    plain = packages_of("")
-    rows = [["pip install .", f"{len(plain)}", f"{sum(map(size_of, plain)):.0f} MB", _largest(plain)]]
-    for extra in (*sorted(set(ENABLES) - {""}), "all"):
-        added = packages_of(extra) - plain
-        rows.append([f"[{extra}] adds", f"{len(added)}", f"{sum(map(size_of, added)):.0f} MB", _largest(added)])
-    return rows
-
-
-def _largest(names: set[str]) -> str:
-    found = sorted(((size_of(name), name) for name in names), reverse=True)[:3]
-    return ", ".join(f"{name} {size:.0f}" for size, name in found)
-
-
 def report() -> None:
-    """Print the tables."""
-    print_table(
-        "Sizes of the installed packages, those of the environment that runs this",
-        ["installation", "packages", "size", "largest [MB]"],
-        sizes(),
-    )
+    """Print the table."""
     rows = []
     for precompile in ("1", "0"):
         with tempfile.TemporaryDirectory() as folder:
             rows += measure(Path(folder), precompile)
     print_table("Fresh installation in a new environment: wall time (CPU time)", ["step", "time", "target"], rows)
-
-
-if __name__ == "__main__":
-    sys.exit(report())

@@ -1,6 +1,5 @@
 """Optimised probes for five fused light touches against the paper's large probe: predicted and simulated error."""
 
-from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
 
@@ -20,14 +19,7 @@ DRAWS = 100  #: Fusions at each of six places; 600 errors determine their RMS to
 SEED = 1
 
 
-@dataclass(frozen=True)
-class EvaluatedDesign:
-    """A design with its metrics."""
-
-    design: Design  #: the design.
-    metrics: DesignMetrics  #: predicted with all error sources.
-    simulated: MonteCarloCheck  #: Monte Carlo result of the estimator.
-    seconds: float  #: time of the optimisation; 0 for the initial design.
+Evaluated = tuple[Design, DesignMetrics, MonteCarloCheck, float]  #: Predicted, drawn, time of the search [s].
 
 
 def report() -> None:
@@ -41,17 +33,16 @@ def report() -> None:
             OptimizationProblem(initial, free, task, limits=(SAG,)), name.replace(" ", "-"), lambda *_: None
         )
         designs[name] = _evaluated(found.design, task, perf_counter() - before)
-    first = designs["initial design"]
+    _, first, drawn, _ = designs["initial design"]
     print_table(
         f"Optimised probes, 150 mm, {SAG.text}, printable; {task.text}; standard deviation of E "
         f"{STIFFNESS_SPREAD:.0%}; {DRAWS} simulated fusions per place, seed {SEED}",
         ["", "diameters [mm]", "predicted [mm]", "improvement",
          "simulated [mm]", "improvement", "located", "sag [mm]", "print errors", "time [s]"],
-        [[name, _diameters(b.design), f"{b.metrics.error_mm:.2f}", _ratio(first.metrics.error_mm, b.metrics.error_mm),
-          f"{b.simulated.rms_mm:.2f} ± {b.simulated.standard_error_mm:.2f}",
-          _ratio(first.simulated.rms_mm, b.simulated.rms_mm),
-          f"{b.simulated.located} of {b.simulated.drawn}", f"{b.metrics.sag_mm:.0f}", f"{b.metrics.print_errors}",
-          f"{b.seconds:.0f}"] for name, b in designs.items()],
+        [[name, _diameters(design), f"{metrics.error_mm:.2f}", _ratio(first.error_mm, metrics.error_mm),
+          f"{simulated.rms_mm:.2f} ± {simulated.standard_error_mm:.2f}", _ratio(drawn.rms_mm, simulated.rms_mm),
+          f"{simulated.located} of {simulated.drawn}", f"{metrics.sag_mm:.0f}", f"{metrics.print_errors}",
+          f"{seconds:.0f}"] for name, (design, metrics, simulated, seconds) in designs.items()],
     )  # fmt: skip
 
 
@@ -62,10 +53,8 @@ def _initial_design() -> Design:
     return check_design(tables)
 
 
-def _evaluated(design: Design, task: Task, seconds: float) -> EvaluatedDesign:
-    return EvaluatedDesign(
-        design, design_metrics(design, task), confirm(design, task, DRAWS, SEED, lambda *_: None), seconds
-    )
+def _evaluated(design: Design, task: Task, seconds: float) -> Evaluated:
+    return design, design_metrics(design, task), confirm(design, task, DRAWS, SEED, lambda *_: None), seconds
 
 
 def _ratio(before: float, after: float) -> str:

@@ -13,13 +13,12 @@ from benchmarks import solver_comparison
 from benchmarks.cases import Cases, Load, bare_large, paper_loads, random_cases, random_loads
 from benchmarks.solver_comparison import NODES, solver
 from benchmarks.timing import format_seconds, interleaved, print_table, value_range
-from probedesign.core.frames import Array
 from probedesign.rod.batch import CHUNK, solve_batch
 from probedesign.rod.kernels.equations import ALL_COLUMNS, LOAD_COLUMNS, OK, Body
 from probedesign.rod.kernels.newton import COLD, SOLUTION, scratch_buffers, solve_cases
 from probedesign.rod.rod import RESULTS, TOLERANCES, Rod
 
-CASES, SINGLE_CASES = 100_000, 10_000  #: Cases of a batch, and cases that are timed one by one.
+CASES = 100_000  #: Cases of a batch.
 ROUNDS, BATCH_ROUNDS = 9, 3
 
 #: Derivatives, nodes of the shape and whether it starts from a neighbouring load, of each solve that is timed.
@@ -40,7 +39,6 @@ class Batch(NamedTuple):
     rates: dict[int, float]  #: solutions per second of the kernel by number of threads; failed cases do not count.
     whole: float  #: time of `solve_batch` on all cores, including the conversion of rods, loads and results.
     same: bool  #: whether the results are bitwise equal for all numbers of threads.
-    each: Array  #: time of each of the first cases by itself, (SINGLE_CASES,).
 
 
 def report() -> None:
@@ -97,19 +95,6 @@ class Kernel:
             list(pool.map(self.solve, firsts, (min(first + CHUNK, n) for first in firsts)))
             return time.perf_counter() - start
 
-    def each(self, n: int) -> Array:
-        """Return the time of each of the first n cases without the call itself [s], (n,); the better of two runs."""
-
-        def once(first: int, last: int) -> float:
-            start = time.perf_counter()
-            self.solve(first, last)
-            return time.perf_counter() - start
-
-        empty = min(once(0, 0) for _ in range(100))
-        first, second = (np.array([once(i, i + 1) - empty for i in range(n)]) for _ in range(2))
-        best: Array = np.minimum(first, second)
-        return best
-
 
 def measure_batch(cases: Cases) -> Batch:
     """Measure a set of cases."""
@@ -131,7 +116,7 @@ def measure_batch(cases: Cases) -> Batch:
     for code in np.unique(status).astype(int):
         shares[RESULTS[code]] = shares.get(RESULTS[code], 0.0) + float((status == code).mean())
     rates = {threads: n * shares["ok"] / value for threads, value in seconds.items()}
-    return Batch(shares, rates, whole, same, kernel.each(min(n, SINGLE_CASES)))
+    return Batch(shares, rates, whole, same)
 
 
 def print_batches(batches: dict[str, Batch]) -> None:
@@ -153,9 +138,6 @@ def print_batches(batches: dict[str, Batch]) -> None:
                   lambda batch, threads=threads: f"{batch.rates[threads]:,.0f}")  # type: ignore[misc]
               for threads in next(iter(batches.values())).rates),
             row("results bitwise equal for all threads", lambda batch: "yes" if batch.same else "no"),
-            *(row(f"one case, {q}th percentile",
-                  lambda batch, q=q: format_seconds(float(np.percentile(batch.each, q))))  # type: ignore[misc]
-              for q in (50, 90, 99, 100)),
             row("solve_batch, everything included", lambda b: f"{CASES * b.shares['ok'] / b.whole:,.0f} /s"),
         ],
     )  # fmt: skip

@@ -1,4 +1,4 @@
-"""Time and error of the compiled rod and of other solvers for equilibria of the paper's large probe."""
+"""Time and error of the compiled rod and of scipy for equilibria of the paper's large probe."""
 
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -7,8 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from benchmarks.cases import GRAVITY, Load, paper_loads
-from benchmarks.peers.collocation import solve_by_bvp
-from benchmarks.peers.shooting import shoot_rk45
+from benchmarks.collocation import solve_by_bvp
 from benchmarks.timing import format_seconds, interleaved, print_table, two_digits, value_range
 from probedesign.core.frames import Array
 from probedesign.rod.kernels.equations import OK
@@ -83,15 +82,10 @@ def by_rod(rod: Rod, load: Load) -> dict[str, Method]:
 
 
 def by_scipy(rod: Rod, load: Load) -> dict[str, Method]:
-    """Return shooting with the default tolerance of RK45 and with one for an error below 1 µm, and collocation."""
+    """Return collocation with scipy's default tolerance."""
     s = np.linspace(0.0, rod.length, STATIONS)
-    case = (rod, GRAVITY, load.force, load.s, s)
-    solvers = {
-        "RK45 shooting, rtol 1e-3": partial(shoot_rk45, *case, 1e-3),
-        "RK45 shooting, rtol 1e-5": partial(shoot_rk45, *case, 1e-5),
-        "solve_bvp, tol 1e-3": partial(solve_by_bvp, *case, 1e-3),
-    }
-    return {name: Method(run, lambda run=run: (s, run())) for name, run in solvers.items()}  # type: ignore[misc]
+    run = partial(solve_by_bvp, rod, GRAVITY, load.force, load.s, s, 1e-3)
+    return {"solve_bvp, tol 1e-3": Method(run, lambda: (s, run()))}
 
 
 def measure(rod: Rod, load: Load) -> dict[str, Measurement]:

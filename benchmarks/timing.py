@@ -10,6 +10,8 @@ import numba
 import numpy
 import scipy
 
+from probedesign.cli.console import print_columns
+
 
 def interleaved(
     calls: Mapping[str, Callable[[], object]], rounds: int, min_round_s: float = 2e-3, max_total_s: float = 2.0
@@ -65,14 +67,9 @@ def value_range(values: Sequence[float], form: Callable[[float], str]) -> str:
 
 
 def print_table(title: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    """Print a table with its first column aligned left and the others aligned right."""
-    widths = [max(len(row[i]) for row in [head, *rows]) for i in range(len(head))]
+    """Print a table with numbers to the right and words to the left."""
     print(f"\n{title}")
-    for row in [head, ["-" * w for w in widths], *rows]:
-        first, *rest = (
-            cell.ljust(w) if i == 0 else cell.rjust(w) for i, (cell, w) in enumerate(zip(row, widths, strict=True))
-        )
-        print("  " + "  ".join([first, *rest]))
+    print_columns(head, rows)
 
 
 def print_machine() -> None:

@@ -15,7 +15,11 @@ def solve_by_bvp(
     The parts before and after the force are solved together on one interval; n is known in closed form.
 
     Args:
-        rod, gravity, force, s_contact, s: as for `shoot_rk45`.
+        rod: the rod; its rigid root is ignored.
+        gravity: in base axes [m/s²], (3,).
+        force: on the rod in base axes [N], (3,).
+        s_contact: arclength of the force [m].
+        s: increasing stations [m], (k,).
         tol: tolerance of solve_bvp.
         nodes: nodes of the initial mesh.
 
