@@ -125,7 +125,6 @@ FrozenProbeIfAny = Annotated[Path | None, _path_of(uncalibrated_probe, f"{_BUNDL
 JsonOutput = Annotated[bool, Parameter(name="--json", help="print one JSON document.")]
 Method = Literal["ml", "force_moment"]
 Tare = Literal["auto", "none"]
-Origin = Literal["sensor", "base"]
 _ALL_AROUND = tuple(30.0 * k for k in range(12))  #: Directions of the pushes on a curved probe [deg].
 _LIST: dict[str, Any] = {"negative": (), "consume_multiple": True}
 
@@ -140,8 +139,6 @@ class TaskOptions:
     evenly spaced below it. Default: 0.005."""
     touches: int = 5
     """Number of touches of one fixed point that are fused while the base presses on. 1 is a single reading."""
-    moments_about: Origin | None = None
-    """Fuse the moments about this origin only, the sensor's or the base's. Default: forces and moments."""
     at: Annotated[list[float] | None, Parameter(**_LIST)] = None
     """Touched places as fractions of the length. Default: 0.4, 0.5, ... 0.9."""
     gravity: Annotated[list[str] | None, Parameter(**_LIST)] = None
@@ -162,7 +159,7 @@ class TaskOptions:
 
         directions = self.direction or (_ALL_AROUND if curved else ())
         return Task(
-            tuple(self.force_N or (0.005,)), self.touches, self.moments_about, tuple(self.at or FRACTIONS),
+            tuple(self.force_N or (0.005,)), self.touches, tuple(self.at or FRACTIONS),
             tuple(map(_vector, self.gravity or [])), tuple(directions), self.combine,
         )  # fmt: skip
 

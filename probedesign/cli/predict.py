@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from probedesign.cli.console import json_bytes, print_columns, print_json, print_table, show_progress, write_files
-from probedesign.cli.options import DesignFile, JsonOutput, Origin
+from probedesign.cli.options import DesignFile, JsonOutput
 from probedesign.core.files import check_folder, exports_of
 from probedesign.core.units import format_value
 
@@ -26,18 +26,15 @@ def predict(
     monte_carlo: int | None = None,
     seed: int = 0,
     touches: int = 5,
-    moments_about: Origin | None = None,
     as_json: JsonOutput = False,
 ) -> None:
     """Predict sensitivity and contact error of a design; write prediction.json, .csv and .html.
 
     Args:
         out: output folder. Default: exports/NAME.
-        monte_carlo: check the error budget by this number of simulated estimates per condition. An interrupted run is
-            resumed by the same command.
+        monte_carlo: check the error budget by this number of simulated estimates per condition.
         seed: seed of the Monte Carlo simulation.
         touches: number of touches of one point that are fused while the base presses on.
-        moments_about: fuse the moments about this origin only. Default: forces and moments.
     """
     from probedesign.design import load_design
     from probedesign.mount import root_contradiction
@@ -45,7 +42,7 @@ def predict(
     from probedesign.probe import build_probe
     from probedesign.web.home import write_home
 
-    schedule = PressSchedule(touches, moments_about)
+    schedule = PressSchedule(touches)
     with show_progress() as on_progress:
         probe = build_probe(load_design(design))
         folder = exports_of(design) / probe.design.name if out is None else out
@@ -56,7 +53,7 @@ def predict(
             from probedesign.prediction.monte_carlo import MonteCarloPlan, run_monte_carlo
 
             plan = MonteCarloPlan(probe.model, probe.tolerances, monte_carlo, seed, schedule)
-            rows = run_monte_carlo(plan, prediction, folder, lambda share: on_progress("Monte Carlo", share),
+            rows = run_monte_carlo(plan, prediction, lambda share: on_progress("Monte Carlo", share),
                                    fused=worst(prediction.fused, SHOWN_N))  # fmt: skip
             prediction = replace(prediction, monte_carlo=rows)
         files = write_files(folder, prediction_files(probe, prediction))

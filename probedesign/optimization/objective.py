@@ -15,7 +15,6 @@ from probedesign.core.units import MM
 from probedesign.design import Design
 from probedesign.estimation.contact_fit import MIN_FRICTION
 from probedesign.estimation.error_sources import ErrorSources
-from probedesign.estimation.estimate import MomentsAbout
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.model import ProbeModel
 from probedesign.prediction.budget import error_budget
@@ -50,7 +49,6 @@ class Task:
     #: normal contact forces; of several touches the largest, the others are equal steps up to it.
     forces_N: tuple[float, ...] = (0.005,)
     touches: int = 5  #: number of touches of one fixed point as the base presses on; 1 is a single reading.
-    moments_about: MomentsAbout | None = None  #: as in `PressSchedule`.
     fractions: tuple[float, ...] = FRACTIONS  #: contact positions over the length.
     gravities: tuple[Vector, ...] = ()  #: in base axes [m/s²]; empty: that of the design's mount.
     #: of the pushes, about the tangent from the section's X axis; empty: across gravity.
@@ -84,7 +82,7 @@ class Task:
     @property
     def schedule(self) -> PressSchedule | None:
         """Return how several touches are made; None: one reading."""
-        return None if self.touches == 1 else PressSchedule(self.touches, self.moments_about)
+        return None if self.touches == 1 else PressSchedule(self.touches)
 
     def models(self, model: ProbeModel) -> Iterator[ProbeModel]:
         """Yield the probe under each gravity of the task."""
@@ -133,8 +131,7 @@ class Task:
         forces = ", ".join(f"{1e3 * force:g}" for force in self.forces_N)
         if self.schedule is None:
             return f"one reading at {forces} mN"
-        counted = self.schedule.text.split(", ")[1]
-        return f"{self.touches} touches up to {forces} mN fused, {counted}"
+        return f"{self.touches} touches up to {forces} mN fused, forces and moments"
 
 
 DETECTION_FRACTION = 0.8  #: Contact fraction whose detectable force is reported.

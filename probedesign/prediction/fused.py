@@ -30,7 +30,6 @@ from probedesign.estimation.fusion import Fusion, Reading
 from probedesign.estimation.fusion_state import channels_of
 from probedesign.estimation.model import ProbeModel, Tolerances, covariance
 from probedesign.prediction.budget import radius_95
-from probedesign.prediction.thresholds import ACCURACIES_MM, force_for_accuracy
 from probedesign.prediction.touches import Touches
 from probedesign.rod.kernels.surface_contact import POINT, VALUE
 
@@ -193,21 +192,6 @@ class FusedCondition(PredictedTouch):
 
 
 @dataclass(frozen=True)
-class FusedForceThresholds:
-    """Largest force of fused touches needed for a given RMS error at one position, by all error sources.
-
-    Interpolated linearly in logarithms between the forces of the grid; None where no force of the grid suffices, the
-    smallest force of the grid where that suffices already.
-    """
-
-    contact_fraction: float
-    direction: str
-    force_mN_for_1_mm: float | None
-    force_mN_for_2_mm: float | None
-    force_mN_for_5_mm: float | None
-
-
-@dataclass(frozen=True)
 class FusedHeadline:
     """The figure by which fused touches are compared: their error at one position, in the worst direction."""
 
@@ -230,20 +214,6 @@ def fused_headline_of(conditions: Sequence[FusedCondition], touches: int, contac
     errors = [c.predicted_error_mm for c in here if c.predicted_error_mm is not None]
     worst = max(errors) if errors and len(errors) == len(here) else None
     return FusedHeadline(touches, SHOWN_N, contact_fraction, worst)
-
-
-def fused_reach(conditions: Sequence[FusedCondition]) -> tuple[FusedForceThresholds, ...]:
-    """Return the force thresholds of fused touches at each position."""
-    lines = dict.fromkeys((c.contact_fraction, c.direction) for c in conditions)
-    thresholds = []
-    for line in lines:
-        here = sorted((c for c in conditions if (c.contact_fraction, c.direction) == line and c.result == "ok"),
-                      key=lambda c: c.force_N)  # fmt: skip
-        forces = np.array([c.force_N for c in here])
-        errors = np.array([c.predicted_error_mm for c in here], dtype=float)
-        needed = (force_for_accuracy(forces, errors, accuracy) for accuracy in ACCURACIES_MM)
-        thresholds.append(FusedForceThresholds(*line, *(None if f is None else 1e3 * f for f in needed)))
-    return tuple(thresholds)
 
 
 T = TypeVar("T", bound=PredictedTouch)

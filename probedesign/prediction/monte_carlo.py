@@ -10,9 +10,7 @@ import hashlib
 import json
 import math
 from collections.abc import Callable, Sequence
-from contextlib import nullcontext
-from dataclasses import asdict, dataclass, replace
-from pathlib import Path
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,7 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array, inverse, pose, wrench_map
-from probedesign.core.parallel import Journal, fingerprint, process_map
+from probedesign.core.parallel import process_map
 from probedesign.core.statistics import max_chi2
 from probedesign.core.units import MM
 from probedesign.estimation.error_sources import BEFORE_KNOTS, parameters_of, turns_of
@@ -224,17 +222,6 @@ class MonteCarloPlan:
         """Draw the print samples, which all conditions share."""
         return PrintSamples.draw(self.model, self.tolerances, self.draws, self.seed)
 
-    @property
-    def key(self) -> str:
-        """Return the fingerprint of the plan."""
-        model, rod = self.model, self.model.rod
-        numbers = [*rod.body, rod.rigid_length, model.gravity_base, model.T_sensor_base, model.wrench_range,
-                   *((model.noise.force, model.noise.moment) if model.noise.is_isotropic else model.noise.cov),
-                   model.averaging_samples, model.payload.mass, model.payload.p_com]  # fmt: skip
-        plain = [np.asarray(n, dtype=float).ravel().tolist() for n in numbers]
-        settings = asdict(self.tolerances), self.draws, self.seed, asdict(self.pressing), model.friction, 3
-        return fingerprint([plain, rod.rounded_from, rod.factors, *settings])
-
     def sample_condition(self, touch: Touch, samples: PrintSamples) -> dict[str, Any]:
         """Return the summary of the errors of one condition over all samples."""
         key = json.dumps([self.seed, *(touch if touch[3] > 1 else touch[:3])]).encode()
@@ -324,7 +311,6 @@ def _contains(cov: Array, error: Array) -> bool:
 def run_monte_carlo(
     plan: MonteCarloPlan,
     prediction: Prediction,
-    folder: Path | None,
     progress: Callable[[float], None] = lambda share: None,
     workers: int | None = None,
     fused: Sequence[FusedCondition] = (),
@@ -334,37 +320,21 @@ def run_monte_carlo(
     Args:
         plan: what to draw.
         prediction: of the same probe.
-        folder: for the journal, with which an interrupted run resumes; None: no journal.
         progress: receives the completed fraction.
         workers: processes; all cores if None, only this one if 1.
         fused: conditions of fused touches; each draw takes some hundred times as long as for a single touch.
 
     Returns:
         Results of the sampled conditions.
-
-    Raises:
-        InputError: the journal cannot be read or written.
-        KeyboardInterrupt: with the number of completed conditions.
     """
     conditions: tuple[Condition | FusedCondition, ...] = (*prediction.conditions, *fused)
-    touches = {i: touch for i, condition in enumerate(conditions) if (touch := _touch(condition)) is not None}
-    request = {"schema": 1, "plan": plan.key, "touches": [list(touch) for touch in touches.values()]}
-    journal = None if folder is None else Journal.open(folder / f"monte-carlo-{fingerprint(request)}.jsonl", request)
-    done = {} if journal is None else journal.results
-    left = [i for i in touches if i not in done]
-    try:
-        with nullcontext() if journal is None else journal.appending() as appender:
-            tasks = [touches[i] for i in left]
-            computed = process_map(_sample_in_worker, tasks, workers, _initialize, (plan,), preload=[__name__])
-            for k, row in computed:
-                done[left[k]] = row
-                if appender is not None:
-                    appender.add({"point": left[k], **row})
-                progress(len(done) / max(len(touches), 1))
-    except KeyboardInterrupt:
-        kept = f"; {len(done)} of {len(touches)} conditions are saved, the same command resumes" if journal else ""
-        raise KeyboardInterrupt(f"interrupted{kept}") from None
-    return tuple(_result(plan, conditions[i], done[i]) for i in touches)
+    located = [condition for condition in conditions if condition.result == "ok"]
+    touches = [(c.contact_fraction, c.force_N, c.direction, _touches(c)) for c in located]
+    rows = dict[int, dict[str, Any]]()
+    for i, row in process_map(_sample_in_worker, touches, workers, _initialize, (plan,), preload=[__name__]):
+        rows[i] = row
+        progress(len(rows) / len(touches))
+    return tuple(_result(plan, condition, rows[i]) for i, condition in enumerate(located))
 
 
 _worker_state: tuple[MonteCarloPlan, PrintSamples] | None = None  #: Plan and print samples of a worker process.
@@ -392,13 +362,6 @@ def _result(plan: MonteCarloPlan, condition: Condition | FusedCondition, row: di
         condition.contact_fraction, condition.force_N, condition.direction, plan.draws, row["located"],
         first_order_mm=first, differs=differs, touches=_touches(condition), inside=row["inside"], **shown,
     )  # fmt: skip
-
-
-def _touch(condition: Condition | FusedCondition) -> Touch | None:
-    """Return the touch of a condition that is predicted to be located; None for others."""
-    if condition.result != "ok":
-        return None
-    return condition.contact_fraction, condition.force_N, condition.direction, _touches(condition)
 
 
 def _touches(condition: Condition | FusedCondition) -> int:

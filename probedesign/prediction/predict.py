@@ -20,14 +20,12 @@ from probedesign.prediction.fused import (
     FUSED_CAUSES,
     SHOWN_N,
     FusedCondition,
-    FusedForceThresholds,
     FusedHeadline,
     PredictedTouch,
     PressSchedule,
     forces_of,
     fused_conditions,
     fused_headline_of,
-    fused_reach,
     worst,
 )
 from probedesign.prediction.thresholds import LADDER_N, ForceThresholds, force_thresholds
@@ -135,7 +133,6 @@ class Prediction(Tabular):
     reach: tuple[ForceThresholds, ...]  #: force thresholds along the probe.
     tolerances: Tolerances  #: standard deviations of the error sources, with the source of each number.
     fused: tuple[FusedCondition, ...] = ()  #: the same grid, each point touched several times and fused.
-    fused_reach: tuple[FusedForceThresholds, ...] = ()  #: force thresholds of fused touches.
     pressing: PressSchedule = PRESSING  #: how they are made.
     monte_carlo: tuple[MonteCarloResult, ...] = ()  #: of the conditions that are located; empty if none was run.
     resin: str = ""  #: name of the resin; empty if unknown.
@@ -273,7 +270,6 @@ def predict(
         reach=reach,
         tolerances=known,
         fused=fused,
-        fused_reach=fused_reach(fused),
         pressing=pressing,
         resin=model.resin,
         over_directions=over,
@@ -405,12 +401,9 @@ def conditions_csv(prediction: Prediction) -> bytes:
 
 
 def along_csv(prediction: Prediction) -> bytes:
-    """Return a CSV table with detection, thresholds and limits by position and direction; fused_: of fused touches."""
+    """Return a CSV table with detection, thresholds and limits by position and direction."""
     rows: dict[tuple[float, str], dict[str, Any]] = {}
     shown: tuple[Detection | ForceThresholds, ...] = (*prediction.detection, *prediction.reach)
     for line in shown:
         rows.setdefault((line.contact_fraction, line.direction), {}).update(asdict(line))
-    for fused in prediction.fused_reach:
-        forces = {f"fused_{k}": v for k, v in asdict(fused).items() if k.startswith("force_")}
-        rows[fused.contact_fraction, fused.direction].update(forces)
     return csv_tables.write(list(dict.fromkeys(k for row in rows.values() for k in row)), rows.values(), ".6g")

@@ -89,7 +89,7 @@ def compare(designs: Sequence[Design], task: Task) -> list[ComparedDesign]:
              for at in COMPARED_FRACTIONS]  # fmt: skip
     curved = any(build_probe(design).rod.is_curved for design in designs)
     by_force = [replace(task, forces_N=(force,)) for force in FORCES_N]
-    pressing = PressSchedule(min(max(task.touches, 2), MAX_TOUCHES), task.moments_about)
+    pressing = PressSchedule(min(max(task.touches, 2), MAX_TOUCHES))
     compared = []
     for design in designs:
         probe = build_probe(design)

@@ -67,14 +67,13 @@ def error_chart(prediction: Prediction) -> Chart:
 
 
 def force_chart(prediction: Prediction) -> Chart:
-    """Return the forces for detection, for given accuracies by one reading or by fused touches, and the limit."""
-    k, curves = prediction.pressing.touches, dict[str, tuple[list[float], list[float]]]()
+    """Return the forces for detection, for given accuracies by one reading, and the limit."""
+    curves = dict[str, tuple[list[float], list[float]]]()
     lines: list[tuple[str, Sequence[Any], str]] = [
         ("detected", prediction.detection, "detectable_force_mN"),
-        (f"2 mm, {k} fused", prediction.fused_reach, "force_mN_for_2_mm"),
-        ("5 mm, one", prediction.reach, "force_mN_for_5_mm"),
-        ("2 mm, one", prediction.reach, "force_mN_for_2_mm"),
-        ("1 mm, one", prediction.reach, "force_mN_for_1_mm"),
+        ("5 mm", prediction.reach, "force_mN_for_5_mm"),
+        ("2 mm", prediction.reach, "force_mN_for_2_mm"),
+        ("1 mm", prediction.reach, "force_mN_for_1_mm"),
         ("limit", prediction.reach, "greatest_force_N"),
     ]
     for name, rows, key in lines:

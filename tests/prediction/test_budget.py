@@ -244,44 +244,11 @@ def test_coverage_of_the_95_percent_ellipsoids(large):
 
 def test_monte_carlo_agrees_with_the_budget(large):
     prediction = predict(large.model, (0.3, 0.8), (0.02,), ("+y",))
-    found = run_monte_carlo(MonteCarloPlan(large.model, prediction.tolerances, 150, 2), prediction, None, workers=1)
+    found = run_monte_carlo(MonteCarloPlan(large.model, prediction.tolerances, 150, 2), prediction, workers=1)
     for row in found:
         # 4 of its own standard errors, and what the second order may be where the place is vague to 3 mm.
         assert abs(row.error_mm - row.first_order_mm) < 4.0 * row.standard_error_mm + 0.05 * row.first_order_mm
         assert 0 < row.located <= row.draws == 150
-
-
-def test_monte_carlo_resumes_from_its_journal(large, tmp_path):
-    prediction = predict(large.model, (0.3, 0.5, 0.8), (0.02,), ("+y",))
-    plan = MonteCarloPlan(large.model, Tolerances(), 5, 2)
-    whole = run_monte_carlo(plan, prediction, None, workers=1)
-    calls = []
-
-    def stop(share):
-        calls.append(share)
-        if len(calls) == 2:
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt, match="2 of 3 conditions are saved"):
-        run_monte_carlo(plan, prediction, tmp_path, stop, workers=1)
-    (kept,) = tmp_path.iterdir()
-    assert len(kept.read_text().splitlines()) == 1 + 2
-    calls.clear()
-    assert run_monte_carlo(plan, prediction, tmp_path, calls.append, workers=1) == whole
-    assert calls == [1.0]
-
-
-def test_plans_have_separate_journals_and_a_corrupt_one_is_refused(large, tmp_path):
-    prediction = predict(large.model, (0.5,), (0.02,), ("+y",))
-    one, other = (MonteCarloPlan(large.model, Tolerances(), 4, 2), MonteCarloPlan(large.model, Tolerances(), 4, 3))
-    assert one.key != other.key != replace(one, tolerances=Tolerances(density=0.02)).key
-    run_monte_carlo(one, prediction, tmp_path, workers=1)
-    (kept,) = tmp_path.iterdir()
-    run_monte_carlo(other, prediction, tmp_path, workers=1)
-    assert len(list(tmp_path.iterdir())) == 2
-    kept.write_text("rubbish\n")
-    with pytest.raises(InputError, match="is not a record of results"):
-        run_monte_carlo(one, prediction, tmp_path, workers=1)
 
 
 # What the object feels

@@ -148,7 +148,7 @@ def test_error_and_coverage_of_drawn_fused_touches(large):
 def test_monte_carlo_distinguishes_fused_and_single_touches(large):
     whole = predict(large.model, (0.7,), (0.02,), ("+y",), large.tolerances)
     (single, several) = run_monte_carlo(
-        MonteCarloPlan(large.model, large.tolerances, 8, 2), whole, None, workers=1, fused=whole.fused
+        MonteCarloPlan(large.model, large.tolerances, 8, 2), whole, workers=1, fused=whole.fused
     )
     assert (single.touches, several.touches) == (1, 5) and several.located > 0
     assert several.first_order_mm == whole.fused[0].predicted_error_mm
@@ -163,18 +163,6 @@ def test_touches_that_cannot_be_fused_are_refused(touches, capsys):
         PressSchedule(touches)
     assert run(["predict", str(DESIGNS / "small.toml"), "--touches", str(touches)]) == 2
     assert f"touches = {touches}" in capsys.readouterr().err
-
-
-def test_the_press_schedule_is_part_of_the_key(large):
-    plan = MonteCarloPlan(large.model, large.tolerances, 10, 1)
-    assert plan.key != replace(plan, pressing=PressSchedule(4)).key
-
-
-def test_the_fused_force_threshold_gives_the_requested_error(large):
-    forces, rigid = (0.002, 0.003, 0.004, 0.006), replace(large.tolerances, object_compliance=0.0)
-    found = large.predict((0.6,), forces, ("+y",), tolerances=rigid).fused_reach[0]
-    there = of(large, rigid, (0.6, 1e-3 * found.force_mN_for_2_mm, "+y"))
-    assert there.predicted_error_mm == pytest.approx(2.0, rel=0.02)  # straight in logarithms over a third
 
 
 # Tables
