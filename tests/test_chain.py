@@ -9,7 +9,7 @@ import pytest
 
 from probedesign.cli import demo
 from probedesign.cli.main import run
-from probedesign.cli.options import estimator_of
+from probedesign.cli.options import EstimatorOptions
 from probedesign.design import load_design
 from probedesign.design.io import new, notes_of, render_design
 from probedesign.frozen_probe import deploy_model
@@ -62,7 +62,7 @@ def test_design_predict_deploy_and_live(workplace, capsys):
 def test_options_of_the_estimator_change_its_priors(workplace):
     """An exact model still drifts: a reading that the drift alone explains must not be located."""
     model = build_probe(load_design(LARGE)).model
-    estimator = estimator_of(deploy_model(model, workplace), None, exact_model=True, friction=0.0)
+    estimator = EstimatorOptions(exact_model=True, friction=0.0).load(deploy_model(model, workplace))
     assert estimator.model.friction == 0.0
     assert estimator.priors.youngs_modulus == 0.0 and estimator.priors.drift_steps > 0.0
 

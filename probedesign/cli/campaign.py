@@ -158,7 +158,6 @@ def campaign(
     readings: int = 5,
     exact: bool = False,
     friction: float | None = None,
-    friction_spread: float = 0.2,
     hold_out: Annotated[bool, Parameter(negative="--no-hold-out")] = True,
     flaws: Annotated[bool, Parameter(negative="--no-flaws")] = True,
     force: bool = False,
@@ -180,7 +179,6 @@ def campaign(
         exact: the print and its mount are exactly as designed; only the readings are noisy.
         friction: median friction coefficient of the touching objects. The tangential force has any direction within
             the friction cone. 0 is without friction. Default: [contact] friction of the design.
-        friction_spread: standard deviation of the friction coefficient's logarithm from test to test.
         hold_out: every second touch is for validate, and identify leaves it out (use in tests.csv).
         flaws: the bench has the flaws of the design's tolerances: friction, gain and drift of the sensor, root, creep
             and scatter of the stiffness.
@@ -195,8 +193,7 @@ def campaign(
         return None if value is None else value * unit
 
     plan = CampaignPlan("stage" if stage else "cameras", seed, si(youngs_modulus_mpa, MPA), si(shear_modulus_mpa, MPA),
-                si(marker_noise_mm, MM), readings, exact,
-                friction, friction_spread, hold_out, flaws)  # fmt: skip
+                si(marker_noise_mm, MM), readings, exact, friction, hold_out=hold_out, flaws=flaws)  # fmt: skip
     made = make_campaign(build_probe(load_design(design)).model, out, plan, force)
     if as_json:
         print_json({"folder": made.folder, "files": made.files, "tests": made.tests})

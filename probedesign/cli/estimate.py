@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from probedesign.cli.console import print_json, print_note, show_progress
-from probedesign.cli.options import FrozenProbe, JsonOutput, Method, Tare, estimator_of
+from probedesign.cli.options import EstimatorOptions, FrozenProbe, JsonOutput, Tare
 from probedesign.core.errors import InputError
 from probedesign.core.files import check_overwrite, write_atomically
 
@@ -31,10 +31,7 @@ def estimate(
     topic: str = "",
     moment_unit: Literal["Nm", "Nmm"] = "Nm",
     other_probe: bool = False,
-    manifest: Path | None = None,
-    exact_model: bool = False,
-    method: Method = "ml",
-    friction: float | None = None,
+    options: EstimatorOptions | None = None,
     as_json: JsonOutput = False,
 ) -> None:
     """Locate the contacts of a recording, one estimate per row.
@@ -56,12 +53,6 @@ def estimate(
         topic: topic of the wrenches in a bag that has several.
         moment_unit: unit of the moments in a bag whose publisher does not use N·m.
         other_probe: accept a recording that was made with another probe.
-        manifest: manifest.json of the printed parts; its geometry must be the bundle's.
-        exact_model: treat probe, mount and bench as exactly known; sensor noise, drift of its bias and the friction
-            prior remain. Default: all tolerances of BUNDLE.
-        method: ml (maximum a posteriori, with friction) or force_moment, the published method.
-        friction: standard deviation of tangential over normal force, instead of BUNDLE's. 0: the force is normal to
-            the surface; inf: any direction.
     """
     from probedesign.live.processing.tare import parse_tare
     from probedesign.live.run import describe_counts, estimate_recording, warm_up
@@ -76,13 +67,14 @@ def estimate(
         raise InputError(f"--out and --page both name {out}; choose two files")
     check_readable(recording)
     window, zero = parse_tare(tare_s, tare)
-    estimator = estimator_of(bundle, manifest, exact_model, friction)
+    chosen = options or EstimatorOptions()
+    estimator = chosen.load(bundle)
     with show_progress("loading the rod kernels"):
         warm_up(estimator, print_note)
-    options = RecordingOptions(topic, moment_unit=moment_unit, other_probe=other_probe)
+    reading = RecordingOptions(topic, moment_unit=moment_unit, other_probe=other_probe)
     estimates = estimate_recording(
-        estimator, recording, window, average, progress=_track, allow_incomplete=mend, options=options, method=method,
-        zero=zero,
+        estimator, recording, window, average, progress=_track, allow_incomplete=mend, options=reading,
+        method=chosen.method, zero=zero,
     )  # fmt: skip
     for note in estimates.notes:
         print_note(note)

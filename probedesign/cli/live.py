@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 from probedesign.cli.console import interrupt_on_termination
-from probedesign.cli.options import FrozenProbe, Method, Tare, check_names, estimator_of
+from probedesign.cli.options import EstimatorOptions, FrozenProbe, Tare, check_names
 from probedesign.core.errors import InputError
 
 if TYPE_CHECKING:
@@ -58,10 +58,7 @@ def live(
     view_host: str = "127.0.0.1",
     view_port: int = 8080,
     open_: Annotated[bool, Parameter(name="--open", negative="--no-open")] = True,
-    manifest: Path | None = None,
-    exact_model: bool = False,
-    method: Method = "ml",
-    friction: float | None = None,
+    options: EstimatorOptions | None = None,
     lines: bool = False,
     log: Path | None = None,
     as_json: Annotated[bool, Parameter(name="--json", help="print each estimate as one line of JSON.")] = False,
@@ -107,12 +104,6 @@ def live(
         view_host: address on which the page is served. 0.0.0.0 makes it accessible from the network.
         view_port: port of the page, or the next free one.
         open_: open the page in a browser, if the output is a terminal.
-        manifest: manifest.json of the printed parts; its geometry must be the bundle's.
-        exact_model: treat probe, mount and bench as exactly known; sensor noise, drift of its bias and the friction
-            prior remain. Default: all tolerances of BUNDLE.
-        method: ml (maximum a posteriori, with friction) or force_moment, the published method.
-        friction: standard deviation of tangential over normal force, instead of BUNDLE's. 0: the force is normal to
-            the surface; inf: any direction.
         lines: print one line per estimate on a terminal, too.
         log: append every message with its time to this file.
     """
@@ -123,14 +114,15 @@ def live(
     from probedesign.live.processing.tare import parse_tare
 
     window, zero = parse_tare(tare_s, tare)
+    chosen = options or EstimatorOptions()
     processing = ProcessingOptions(
-        window, average, rate_hz, count, seconds, method=method, zero=zero, mains_hz=mains_hz,
+        window, average, rate_hz, count, seconds, method=chosen.method, zero=zero, mains_hz=mains_hz,
         deadline=None if deadline_ms is None else 1e-3 * deadline_ms,
     )  # fmt: skip
     bundles = (bundle, *more)
-    if manifest is not None and more:
+    if chosen.manifest is not None and more:
         raise InputError("--manifest belongs to one probe; check each probe in a run of its own")
-    loaded = [estimator_of(each, manifest, exact_model, friction) for each in bundles]
+    loaded = [chosen.load(each) for each in bundles]
     poses = pose or ["fixed"] * len(bundles)
     _check_pairs([estimator.model.name for estimator in loaded], source, poses)
     estimators = {estimator.model.name if more else "": estimator for estimator in loaded}
@@ -140,8 +132,8 @@ def live(
         "tare": tare,
         "average": average,
         "rate_hz": rate_hz,
-        "exact_model": exact_model,
-        "method": method,
+        "exact_model": chosen.exact_model,
+        "method": chosen.method,
         "friction": loaded[0].model.friction,
         "mains_hz": mains_hz,
         "deadline_ms": deadline_ms,

@@ -64,23 +64,6 @@ def uncalibrated_probe(given: Path) -> Path:
     return _frozen_probes(given)[0]
 
 
-def estimator_of(bundle: Path, manifest: Path | None, exact_model: bool, friction: float | None) -> "Estimator":
-    """Return the estimator of a frozen probe with the options of a command.
-
-    With `exact_model` the drift of the sensor's bias still counts: a reading that it alone explains is not located.
-
-    Raises:
-        InputError: the file is unreadable, or the friction is NaN or below 0.
-    """
-    from probedesign.estimation.model import Tolerances
-    from probedesign.frozen_probe import load_estimator
-
-    estimator = load_estimator(bundle, manifest)
-    if exact_model:
-        estimator = estimator.with_tolerances(Tolerances.exact_probe(estimator.model))
-    return estimator if friction is None else estimator.with_friction(friction)
-
-
 def check_names(names: Sequence[str]) -> None:
     """Raise InputError if two probes of a run have one name, as topics of ROS have it."""
     from probedesign.live.recordings.schemas import ros_name
@@ -123,7 +106,6 @@ FrozenProbe = Annotated[Path, _path_of(frozen_probe, _BUNDLE)]
 #: Of `calibrate`, which does without one, and without its calibration.
 FrozenProbeIfAny = Annotated[Path | None, _path_of(uncalibrated_probe, f"{_BUNDLE} Not with --tool.")]
 JsonOutput = Annotated[bool, Parameter(name="--json", help="print one JSON document.")]
-Method = Literal["ml", "force_moment"]
 Tare = Literal["auto", "none"]
 _ALL_AROUND = tuple(30.0 * k for k in range(12))  #: Directions of the pushes on a curved probe [deg].
 _LIST: dict[str, Any] = {"negative": (), "consume_multiple": True}
@@ -170,6 +152,39 @@ def _vector(text: str) -> tuple[float, float, float]:
     except ValueError:
         raise InputError(f"--gravity {text!r} cannot be read; write X,Y,Z in m/s², such as 9.81,0,0") from None
     return x, y, z
+
+
+@Parameter(name="*")
+@dataclass
+class EstimatorOptions:
+    """Estimator of `estimate` and `live`."""
+
+    manifest: Path | None = None
+    """manifest.json of the printed parts; its geometry must be the bundle's."""
+    exact_model: bool = False
+    """Treat probe, mount and bench as exactly known; sensor noise, drift of its bias and the friction prior remain.
+    Default: all tolerances of BUNDLE."""
+    method: Literal["ml", "force_moment"] = "ml"
+    """ml (maximum a posteriori, with friction) or force_moment, the published method."""
+    friction: float | None = None
+    """Standard deviation of tangential over normal force, instead of BUNDLE's. 0: the force is normal to the surface;
+    inf: any direction."""
+
+    def load(self, bundle: Path) -> "Estimator":
+        """Return the estimator of a frozen probe.
+
+        The drift of the bias of an exact model still counts: a reading that it alone explains is not located.
+
+        Raises:
+            InputError: the file is unreadable, or the friction is NaN or below 0.
+        """
+        from probedesign.estimation.model import Tolerances
+        from probedesign.frozen_probe import load_estimator
+
+        estimator = load_estimator(bundle, self.manifest)
+        if self.exact_model:
+            estimator = estimator.with_tolerances(Tolerances.exact_probe(estimator.model))
+        return estimator if self.friction is None else estimator.with_friction(self.friction)
 
 
 @Parameter(name="*")
@@ -322,8 +337,6 @@ class RehearsalOptions:
     """Seed of the drawn errors."""
     friction: float = 0.5
     """Median friction coefficient of the simulated cards; contacts stick and slip. 0 is without friction."""
-    friction_spread: float = 0.2
-    """Standard deviation of the friction coefficient's logarithm from touch to touch."""
 
     def write(self, models: Sequence["ProbeModel"], base: "BaseOptions", one_object: bool, force: bool) -> list[Path]:
         """Simulate the run, write its files and return them; the error of the base's pose is drawn from `base`.
@@ -344,8 +357,6 @@ class RehearsalOptions:
             raise InputError(f"--seed {self.seed} must not be negative")
         if not 0.0 <= self.friction <= MAX_FRICTION:
             raise InputError(f"--friction {self.friction:g} must lie in 0 ... {MAX_FRICTION:g}")
-        if not 0.0 <= self.friction_spread <= 1.0:
-            raise InputError(f"--friction-spread {self.friction_spread:g} must lie in 0 ... 1")
         folder = self.rehearse or Path()
         folders = [folder / model.name for model in models] if len(models) > 1 else [folder]
         for each in folders:  # before the simulation
@@ -359,7 +370,7 @@ class RehearsalOptions:
             for i, (model, part) in enumerate(zip(models, shared_targets(targets, len(models)), strict=True)):
                 rng = np.random.default_rng([self.seed, 1 + i] if i else self.seed)
                 priors = base.priors(Tolerances.of(model))
-                errors = RunErrors.from_priors(priors, self.friction, self.friction_spread)
+                errors = RunErrors.from_priors(priors, self.friction)
                 runs.append((simulate_run(model, part, rng, errors), model, folders[i], rng, force))
             return [path for run in runs for path in write_run(*run)]
 

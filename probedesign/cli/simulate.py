@@ -26,7 +26,6 @@ def simulate(
     seconds: float | None = None,
     pose_to: str | None = None,
     friction: float = 0.5,
-    friction_spread: float = 0.2,
     object_compliance: Annotated[float, Parameter(name="--object-compliance-m-N")] = 0.0,
 ) -> None:
     """Simulate a Net F/T box with a probe, for `live` and other clients.
@@ -44,7 +43,6 @@ def simulate(
         seconds: end this many seconds after the start.
         pose_to: HOST:PORT to which the base's poses are sent, for live --pose udp://.
         friction: median friction coefficient of the objects; contacts stick and slip. 0 is without friction.
-        friction_spread: standard deviation of the friction coefficient's logarithm from object to object.
         object_compliance: how far every object yields by the force on it [m/N]. 0 is rigid; a card house yields by 0.02
             to 0.2 m/N.
     """
@@ -57,7 +55,7 @@ def simulate(
         raise InputError(f"--seconds {seconds} must be positive")
     model = load_estimator(bundle).model
     with show_progress(f"solving the contacts of --scene {scene}"):
-        objects = press_scene(model, scene, friction, friction_spread, seed, object_compliance)
+        objects = press_scene(model, scene, friction, seed=seed, compliance=object_compliance)
     motion = BaseMotion(model, objects)
     transducer = SimulatedTransducer(model, motion.wrench_sensor, seed)
     ranges = model.wrench_range / ([1.0] * 3 + [MM] * 3)

@@ -175,7 +175,6 @@ class _Label(NamedTuple):
     colour: str
     dark: str
     size: float
-    turned: bool
 
 
 @dataclass
@@ -232,13 +231,15 @@ class Chart:
         """Add a filled rectangle."""
         self.elements.append(_Rectangle(x, y, fill, edge))
 
-    def text(
-        self, x: float, y: float, text: str, colour: str = "#111", size: float = 12.0, turned: bool = False,
-        on: str = "",
-    ) -> None:  # fmt: skip
-        """Add a label centred on a point; `turned` reads upwards, the fill `on` below it chooses its colour."""
+    def text(self, x: float, y: float, text: str, size: float = 12.0, on: str = "") -> None:
+        """Add a label centred on a point; the fill `on` below it chooses its colour."""
         dark = ink_on(on, dark=True) if on else ""
-        self.elements.append(_Label(x, y, text, ink_on(on) if on else colour, dark, size, turned))
+        self.elements.append(_Label(x, y, text, ink_on(on) if on else "#111", dark, size))
+
+    def cell(self, i: int, j: int, text: str, fill: str, size: float = 12.0, edge: str = "#fff") -> None:
+        """Add a filled cell of two axes with categories, and its text."""
+        self.box((i - 0.5, i + 0.5), (j - 0.5, j + 0.5), fill, edge)
+        self.text(i, j, text, size, fill)
 
     def at(self, x: float, y: float) -> tuple[float, float]:
         """Return the position of a point in the SVG, below the legend."""
@@ -297,11 +298,10 @@ class Chart:
                 (a, b), (c, d) = self.at(x[0], y[0]), self.at(x[1], y[1])
                 yield element("rect", x=min(a, c), y=min(b, d), width=abs(c - a), height=abs(d - b), fill=fill,
                               stroke=edge)  # fmt: skip
-            case _Label(x, y, text, colour, dark, size, turned):
+            case _Label(x, y, text, colour, dark, size):
                 p, q = self.at(x, y)
                 yield element("text", text=text, x=p, y=q + 0.36 * size, text_anchor="middle", fill=colour,
-                              font_size=size, style=f"--dark: {dark}" if dark else None,
-                              transform=f"rotate(-90 {number(p)} {number(q)})" if turned else None)  # fmt: skip
+                              font_size=size, style=f"--dark: {dark}" if dark else None)  # fmt: skip
 
     def _grid(self) -> Iterator[str]:
         if not self.x.names:  # otherwise boxes fill the chart

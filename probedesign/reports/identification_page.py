@@ -148,8 +148,7 @@ def _correlation(fit: Identification) -> ReportFigure:
             strength = round(255 * (1.0 - min(abs(value), 1.0)))
             fill = f"#ff{strength:02x}{strength:02x}" if value > 0 else f"#{strength:02x}{strength:02x}ff"
             fill = _SELF if i == j else fill
-            chart.box((j + 0.5, j + 1.5), (n - i - 0.5, n - i + 0.5), fill, "#999")
-            chart.text(j + 1.0, n - i, f"{value:.2f}", on=fill)
+            chart.cell(j + 1, n - i, f"{value:.2f}", fill, edge="#999")
     for name, colour in (("positive", "#ff0000"), ("negative", "#0000ff"), ("itself", _SELF)):
         chart.legend.append(LegendEntry(name, colour))
     return ReportFigure(

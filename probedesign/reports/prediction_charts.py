@@ -125,8 +125,7 @@ def error_map(cells: Sequence[PredictedTouch], error: Callable[[PredictedTouch],
         for j, force in enumerate(forces, 1):
             here = [c for c in cells if (c.contact_fraction, c.force_N) == (fraction, force)]
             fill, words = _cell(here, error)
-            chart.box((i - 0.5, i + 0.5), (j - 0.5, j + 0.5), fill)
-            chart.text(i, j, words, size=12.5 if len(words) < 5 else 9.0, on=fill)
+            chart.cell(i, j, words, fill, 12.5 if len(words) < 5 else 9.0)
     return chart
 
 
@@ -181,11 +180,10 @@ def surface_map(over: Sequence[ErrorOverDirections]) -> Chart:
                   ChartAxis.named("direction of the force", [f"{k}°" for k in degrees]))  # fmt: skip
     for i, row in enumerate(over, 1):
         for j, error in enumerate(row.errors_mm[::2], 1):
-            fill = "#e4e4e4" if error is None else ORDERED[error_level(error)]
-            chart.box((i - 0.5, i + 0.5), (j - 0.5, j + 0.5), fill)
-            chart.text(
-                i, j, "buckles" if error is None else f"{error:.2g}", size=9.0 if error is None else 11.0, on=fill
-            )
+            if error is None:
+                chart.cell(i, j, "buckles", "#e4e4e4", 9.0)
+            else:
+                chart.cell(i, j, f"{error:.2g}", ORDERED[error_level(error)], 11.0)
     return chart
 
 

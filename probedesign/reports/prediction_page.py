@@ -1,7 +1,6 @@
-"""The page of a prediction. A chart is added by one entry in `prediction_figures`."""
+"""The page of a prediction. A chart is added by one entry in `_figures`."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -35,40 +34,29 @@ _CELLS = (
     "an interval of the arclength alone; buckles: the probe is unstable; range: beyond the sensor's range."
 )
 _ERRORS, _FORCES = "Errors by the sensor alone, and of fused touches by source", "Forces along the probe"
-_BENDING = "Deflection"
 
 
-@dataclass(frozen=True)
-class PredictionFigure:
-    """A chart of a prediction."""
-
-    chart: Chart  #: what is drawn.
-    heading: str  #: heading, caption: on the page.
-    caption: str
-    group: str = ""  #: heading under which it is folded away on the page; open if empty.
-
-
-def prediction_figures(prediction: Prediction, estimator: Estimator) -> Iterator[PredictionFigure]:
-    """Yield the figures of a prediction of the estimator's probe, in the order of page and picture."""
+def _figures(prediction: Prediction, estimator: Estimator) -> Iterator[tuple[str, Chart, str, str]]:
+    """Yield group, chart, heading and caption of each figure; one of a group is folded away under its name."""
     k = prediction.pressing.touches
     force = f"{1e3 * HEADLINE_FORCE_N:g} mN"
     free = estimator.free()
     lateral = lateral_axis(free.p_at(np.linspace(0.0, estimator.model.rod.length, STATIONS))) if free.ok else 0
     seen = f"seen along {'yx'[lateral]}"
-    yield PredictionFigure(
-        probe_chart(prediction, estimator), f"Contact error of {force} along the probe",
+    yield (
+        "", probe_chart(prediction, estimator), f"Contact error of {force} along the probe",
         f"The free probe to scale under gravity as mounted, {seen}. Colour: RMS error of one reading, all "
         "sources included, worst direction; grey: not located.",
     )  # fmt: skip
-    yield PredictionFigure(
-        error_chart(prediction), "Contact error of one reading by force",
+    yield (
+        "", error_chart(prediction), "Contact error of one reading by force",
         "RMS error, all sources included. Marked line: worst direction; the shaded area below it reaches to the "
         "best direction. A pointer on a mark shows its values. A line ends where the probe buckles.",
     )  # fmt: skip
     if over := prediction.over_directions:
         fraction = min((row.contact_fraction for row in over), key=lambda at: abs(at - HEADLINE_FRACTION))
-        yield PredictionFigure(
-            direction_chart({f"{1e3 * row.force_N:g} mN": row.errors_mm for row in over
+        yield (
+            "", direction_chart({f"{1e3 * row.force_N:g} mN": row.errors_mm for row in over
                              if row.contact_fraction == fraction and row.force_N in (0.005, 0.01, 0.02)}),
             f"Contact error over the direction of the force, at {fraction:g} of the length",
             "The distance from the centre is the RMS error of one reading, all sources included; X and Y are the axes "
@@ -76,43 +64,43 @@ def prediction_figures(prediction: Prediction, estimator: Estimator) -> Iterator
             "lies in the plane in which the axis is bent: there the moments do not tell the place.",
         )  # fmt: skip
         light = min((row.force_N for row in over), key=lambda force: abs(force - SHOWN_N))
-        yield PredictionFigure(
-            surface_map([row for row in over if row.force_N == light]),
+        yield (
+            "", surface_map([row for row in over if row.force_N == light]),
             f"Contact error on the surface, {1e3 * light:g} mN",
             "RMS error of one reading [mm], all sources included, over place and direction of the force, from X "
             "towards Y.",
         )  # fmt: skip
     if single := worst(prediction.conditions, HEADLINE_FORCE_N):
         budgeted = f"{1e3 * single[0].force_N:g} mN"
-        yield PredictionFigure(budget_chart(single), f"Error budget of one reading of {budgeted}", _BUDGET)
-    yield PredictionFigure(
-        error_map(prediction.conditions, lambda c: c.predicted_error_mm),
+        yield "", budget_chart(single), f"Error budget of one reading of {budgeted}", _BUDGET
+    yield (
+        "", error_map(prediction.conditions, lambda c: c.predicted_error_mm),
         "Contact error of one reading", f"RMS error, all sources included. {_CELLS}",
     )  # fmt: skip
-    yield PredictionFigure(
-        error_map(prediction.fused, lambda c: c.predicted_error_mm), f"Contact error of {k} fused touches",
+    yield (
+        "", error_map(prediction.fused, lambda c: c.predicted_error_mm), f"Contact error of {k} fused touches",
         "Force of the last touch. RMS error, all sources included, worst direction [mm].",
     )  # fmt: skip
-    yield PredictionFigure(
-        error_map(prediction.conditions, lambda c: c.noise_error_mm), "Contact error due to sensor noise alone",
+    yield (
+        _ERRORS, error_map(prediction.conditions, lambda c: c.noise_error_mm),
+        "Contact error due to sensor noise alone",
         "One reading of a probe that matches its model, with the prior on friction: the lower bound. "
-        "Worst direction [mm].", group=_ERRORS,
+        "Worst direction [mm].",
     )  # fmt: skip
-    yield PredictionFigure(
-        force_chart(prediction), "Force thresholds",
+    yield (
+        _FORCES, force_chart(prediction), "Force thresholds",
         "Detected: with probability 0.5 at one false alarm an hour. Located: within the given RMS error, all sources "
         "included. Limit: the probe buckles, an object at constant distance from the base slips off its tip, or the "
         "range of the sensor ends. Worst direction; a line is broken where no force suffices.",
-        group=_FORCES,
     )  # fmt: skip
     if fused := worst(prediction.fused, SHOWN_N):
-        yield PredictionFigure(
-            budget_chart(fused), f"Error budget of {k} touches up to {1e3 * fused[0].force_N:g} mN",
-            "As before. Robot: position error of the base, independent between touches.", group=_ERRORS,
+        yield (
+            _ERRORS, budget_chart(fused), f"Error budget of {k} touches up to {1e3 * fused[0].force_N:g} mN",
+            "As before. Robot: position error of the base, independent between touches.",
         )  # fmt: skip
-    yield PredictionFigure(
-        bending_chart(estimator), "Deflection",
-        f"{seen.capitalize()}; dots are the touches, along ±{'xy'[lateral]}.", _BENDING,
+    yield (
+        "Deflection", bending_chart(estimator), "Deflection",
+        f"{seen.capitalize()}; dots are the touches, along ±{'xy'[lateral]}.",
     )  # fmt: skip
 
 
@@ -130,9 +118,8 @@ def prediction_page(prediction: Prediction, estimator: Estimator) -> bytes:
         f"fused: {prediction.pressing.text}",
     ]
     sections = dict[str, list[ReportFigure]]()
-    for figure in prediction_figures(prediction, estimator):
-        section = ReportFigure(figure.heading, figure.caption, figure.chart.svg())
-        sections.setdefault(figure.group, []).append(section)
+    for group, chart, heading, caption in _figures(prediction, estimator):
+        sections.setdefault(group, []).append(ReportFigure(heading, caption, chart.svg()))
     shown_first = sections.pop("", [])
     sources = prediction.tolerances.sources(prediction.resin, prediction.length_mm * MM)
     rows = [[name, f"{getattr(prediction.tolerances, name):g}", source] for name, source in sources.items()]

@@ -58,15 +58,11 @@ def heat_map(records: Sequence[Record], keys: Sequence[str]) -> Chart:
     low, high = (float(r[METRIC]) for r in (good[0], good[-1]))
     for record in records:
         i, j = (steps.index(record[key]) + 1 for key, steps in zip(keys, values, strict=True))
-        box = (i - 0.5, i + 0.5), (j - 0.5, j + 0.5)
         if record["result"] != "ok":
-            chart.box(*box, "#e4e4e4")
-            chart.text(i, j, SHORT.get(str(record["result"]), "failed"), size=9.0, on="#e4e4e4")
-            continue
-        level = _level(record[METRIC], low, high)
-        chart.box(*box, ORDERED[level])
-        if len(values[0]) <= 16:
-            chart.text(i, j, f"{record[METRIC]:.3g}", size=10.5, on=ORDERED[level])
+            chart.cell(i, j, SHORT.get(str(record["result"]), "failed"), "#e4e4e4", 9.0)
+        else:
+            text = f"{record[METRIC]:.3g}" if len(values[0]) <= 16 else ""
+            chart.cell(i, j, text, ORDERED[_level(record[METRIC], low, high)], 10.5)
     steps, h = len(ORDERED), 0.5
     chart.legend += [
         LegendEntry(f"≤ {low * (high / low) ** (k / steps):.2g} mm", ORDERED[-k])
