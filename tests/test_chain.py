@@ -45,7 +45,9 @@ def test_a_project_has_one_folder_of_exports_and_others_have_their_own(workplace
 
 def test_design_predict_deploy_and_live(workplace, capsys):
     assert run(["new", "a", "--length", "150", "--base-d", "12"]) == 0
+    capsys.readouterr()
     assert run(["predict", "designs/a.toml"]) == 0
+    assert len(capsys.readouterr().out.splitlines()) <= 40  # a terminal shows 24 to 50 lines
     assert run(["deploy", "designs/a.toml"]) == 0
     capsys.readouterr()
     frozen = "exports/a/a.probe.json"

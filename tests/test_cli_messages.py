@@ -121,7 +121,6 @@ def replace_slow_and_local_parts(patch: pytest.MonkeyPatch) -> None:
     ]
     patch.setattr(photographs, "find_all", lambda *_: (tests, ["camera left: 20 control points"]))
     patch.setattr(photographs, "write_pixels", lambda data, *_: data / "pixels.csv")
-    patch.setattr("probedesign.cli.demo._explore", lambda *_: _[-1].append("explore needs mcap") or ([], ""))
     patch.setattr("probedesign.studio.page.StudioPage.wait", lambda _: None)
     patch.setattr(metadata, "version", lambda name: missing() if name == "mcap" else "1.0")
     patch.setattr(platform, "machine", lambda: "machine")
@@ -139,9 +138,13 @@ def missing() -> str:
 def replace_export(patch: pytest.MonkeyPatch) -> None:
     """Replace the export of parts."""
     from probedesign import cad
+    from probedesign.cli import demo
 
-    reason = str(MissingDependencyError.of_extra("export", "CadQuery", "cad"))
-    patch.setattr("probedesign.cli.demo._begin_parts", lambda design, folder, skipped: skipped.append(reason))
+    reasons = [str(MissingDependencyError.of_extra("export", "CadQuery", "cad")), "explore needs mcap"]
+    numbers = {"located": 9, "touches": 10, "error_mm": 1.0, "predicted_mm": 1.0}
+    made = {"skipped": reasons, "made": ["a", "b"], "page": "demo/index.html", **numbers}
+    whole = demo.run_demo
+    patch.setattr(demo, "run_demo", lambda folder, *_: made if str(folder) == "demo" else whole(folder, *_))
     patch.setitem(vars(cad), "export_parts", lambda *_: manifest())  # setattr would import CadQuery
     coupon = {
         "folder": "exports/a/coupon", "files": ["calipers.csv", "coupon.step"], "steps_mm": [12.0, 2.0],

@@ -132,7 +132,7 @@ def test_an_active_limit_is_reached_and_not_exceeded(large):
 def test_infeasible_limits_are_named(large):
     limits = (Limit("sag_mm", True, 2.0), Limit("error_mm", True, 1.0))
     with pytest.raises(InputError, match=r"sag_mm <= 2 \(there .*error_mm <= 1 \(there"):
-        optimum(OptimizationProblem(large, ("cone",), Task(touches=1, fractions=(0.6,)), limits=limits), "best", quiet)
+        optimum(OptimizationProblem(large, ("cone",), Task(touches=2, fractions=(0.6,)), limits=limits), "best", quiet)
 
 
 def test_the_estimator_has_the_predicted_error(rigid):

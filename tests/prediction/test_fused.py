@@ -133,7 +133,7 @@ def test_a_reported_rotation_that_is_off_turns_the_point_about_the_base(large):
 
 def test_error_and_coverage_of_drawn_fused_touches(large):
     """Check RMS error and coverage of a small sample with all error sources and friction drawn."""
-    n, known = 40, large.tolerances
+    n, known = 24, large.tolerances
     samples = PrintSamples.draw(large.model, known, n, 4)
     answers = locate_draws(samples, 0.7, 0.01, np.pi / 2, PressSchedule(), np.random.default_rng(6))
     located = [a for a in answers if a.result == "ok"]

@@ -27,7 +27,7 @@ from probedesign.web.scene import STALE_COLOUR, error_colours
 @pytest.mark.parametrize("name", ["large", "small"])
 def test_the_preview_has_the_numbers_of_predict(name):
     design = load_design(name)
-    full = build_probe(design).predict()
+    full = complete(design).prediction  # that of `predict`, see below
     quick = preview(build_probe(design), FORCES_N).prediction
     assert quick.verdict == full.verdict
     at_every = [c for c in full.conditions if c.contact_fraction in PREVIEWED]
@@ -124,7 +124,7 @@ def test_a_curved_probe_has_its_error_over_the_direction_at_once():
     session = Session(load_design("large"))
     assert session.change({"probe.axis": "arc", "probe.axis_azimuth_deg": 90.0}, now=0.0), session.refused
     probe = build_probe(session.design)
-    quick, full = preview(probe, (0.005, 0.01)).prediction, probe.predict()
+    quick, full = preview(probe, (0.005, 0.01)).prediction, probe.predict((0.6, 0.8), (0.005, 0.01))
     assert quick.verdict == full.verdict and "median" in quick.verdict
     row, *_ = [o for o in full.over_directions if (o.contact_fraction, o.force_N) == (0.8, 0.01)]
     assert quick.over_directions[1].errors_mm == pytest.approx(row.errors_mm, rel=1e-5)  # as above
