@@ -133,12 +133,16 @@ def _next_chunk(file: BinaryIO, start: int) -> int | None:
     return None
 
 
-def split_intact(content: bytes, damage: Damage) -> Iterator[tuple[int, memoryview]]:
-    """Yield opcode and content of the records of a chunk, up to its first damage."""
-    try:
-        yield from split(unpack(content))
-    except DamagedError as error:
-        damage.add(str(error))
+def intact_records(file: BinaryIO, damage: Damage) -> Iterator[tuple[int, bytes | memoryview]]:
+    """Yield records like `walk_intact`, and those in a chunk, up to its first damage, instead of the chunk."""
+    for opcode, content in walk_intact(file, damage):
+        if opcode != Opcode.CHUNK:
+            yield opcode, content
+            continue
+        try:
+            yield from split(unpack(content))
+        except DamagedError as error:
+            damage.add(str(error))
 
 
 def parse(kind: type[Record], content: bytes) -> Record:
@@ -278,33 +282,26 @@ class McapBag:
         """Yield the messages of the topics; see `Bag`."""
         self._channels, self._schemas, self._damage = {}, {}, Damage()
         try:
-            for opcode, content in self._records():
-                try:
-                    if opcode != Opcode.MESSAGE:
-                        self._register(opcode, bytes(content))
+            with self.path.open("rb") as file:
+                file.seek(len(MCAP_MAGIC))
+                for opcode, content in intact_records(file, self._damage):
+                    if opcode == Opcode.DATA_END:
+                        return
+                    try:
+                        if opcode != Opcode.MESSAGE:
+                            self._register(opcode, bytes(content))
+                            continue
+                        number, _, logged, _, data = split_message(memoryview(content))
+                        channel = self._channels.get(number)
+                        if channel is None:
+                            raise DamagedError(f"a message belongs to channel {number}, which does not exist")
+                    except DamagedError as error:
+                        self._damage.add(str(error))
                         continue
-                    number, _, logged, _, data = split_message(memoryview(content))
-                    channel = self._channels.get(number)
-                    if channel is None:
-                        raise DamagedError(f"a message belongs to channel {number}, which does not exist")
-                except DamagedError as error:
-                    self._damage.add(str(error))
-                    continue
-                if channel.topic in topics:
-                    yield Message(channel.topic, logged, data)
+                    if channel.topic in topics:
+                        yield Message(channel.topic, logged, data)
         except OSError as error:
             raise InputError(f"{self.path}: cannot be read: {error.strerror}") from None
-
-    def _records(self) -> Iterator[tuple[int, bytes | memoryview]]:
-        with self.path.open("rb") as file:
-            file.seek(len(MCAP_MAGIC))
-            for opcode, content in walk_intact(file, self._damage):
-                if opcode == Opcode.CHUNK:
-                    yield from split_intact(content, self._damage)
-                elif opcode == Opcode.DATA_END:
-                    return
-                elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.METADATA):
-                    yield opcode, content
 
     def _register(self, opcode: int, content: bytes) -> None:
         """Store a schema, a channel or metadata."""
@@ -344,61 +341,49 @@ class _RecordCopier:
         """Copy a file record by record; return its damage, empty at a regular end."""
         damage, ended = Damage(), False
         try:
-            for i, (opcode, content) in enumerate(walk_intact(file, damage)):
+            for i, (opcode, content) in enumerate(intact_records(file, damage)):
                 if i == 0 and opcode != Opcode.HEADER:
                     return "its records do not begin with a header"
                 ended = ended or opcode == Opcode.DATA_END
-                if ended or (i and opcode == Opcode.HEADER):
-                    continue
-                try:
-                    self._copy_record(opcode, content, damage)
-                except DamagedError as error:
-                    damage.add(str(error))
+                if not ended and (i == 0 or opcode != Opcode.HEADER):
+                    try:
+                        self._copy_record(opcode, bytes(content))
+                    except DamagedError as error:
+                        damage.add(str(error))
         except struct.error:
             return "it names more channels than there can be"
         if not str(damage) and not (ended and file.read() == MCAP_MAGIC):
             return "it was cut off"
         return str(damage)
 
-    def _copy_record(self, opcode: int, content: bytes, damage: Damage) -> None:
+    def _copy_record(self, opcode: int, content: bytes) -> None:
+        writer = self._writer
         if opcode == Opcode.HEADER:
             header = parse(records.Header, content)
-            self._writer.start(header.profile, header.library)
+            writer.start(header.profile, header.library)
         elif opcode == Opcode.ATTACHMENT:
             a = parse(records.Attachment, content)
-            self._writer.add_attachment(a.create_time, a.log_time, a.name, a.media_type, a.data)
+            writer.add_attachment(a.create_time, a.log_time, a.name, a.media_type, a.data)
         elif opcode == Opcode.METADATA:
             metadata = parse(records.Metadata, content)
-            self._writer.add_metadata(metadata.name, metadata.metadata)
-        elif opcode == Opcode.CHUNK:
-            for inner, part in split_intact(content, damage):
-                try:
-                    self._copy_inner(inner, part)
-                except DamagedError as error:
-                    damage.add(str(error))
-            self._writer.flush()
-        else:
-            self._copy_inner(opcode, memoryview(content))
-
-    def _copy_inner(self, opcode: int, content: memoryview) -> None:
-        if opcode == Opcode.SCHEMA:
-            schema = parse(records.Schema, bytes(content))
+            writer.add_metadata(metadata.name, metadata.metadata)
+        elif opcode == Opcode.SCHEMA:
+            schema = parse(records.Schema, content)
             if schema.id not in self._schemas:
-                self._schemas[schema.id] = self._writer.register_schema(schema.name, schema.encoding, schema.data)
+                self._schemas[schema.id] = writer.register_schema(schema.name, schema.encoding, schema.data)
         elif opcode == Opcode.CHANNEL:
-            channel = parse(records.Channel, bytes(content))
+            channel = parse(records.Channel, content)
             if channel.schema_id not in self._schemas:
                 raise DamagedError(f"channel {channel.id} has no schema")
             if channel.id not in self._channels:
-                schema_id = self._schemas[channel.schema_id]
-                self._channels[channel.id] = self._writer.register_channel(
-                    channel.topic, channel.message_encoding, schema_id, channel.metadata
+                self._channels[channel.id] = writer.register_channel(
+                    channel.topic, channel.message_encoding, self._schemas[channel.schema_id], channel.metadata
                 )
         elif opcode == Opcode.MESSAGE:
-            number, sequence, logged, published, data = split_message(content)
+            number, sequence, logged, published, data = split_message(memoryview(content))
             if number not in self._channels:
                 raise DamagedError(f"a message belongs to channel {number}, which does not exist")
-            self._writer.add_message(self._channels[number], logged, bytes(data), published, sequence)
+            writer.add_message(self._channels[number], logged, bytes(data), published, sequence)
             self.first = min(self.first, logged) if self.messages else logged
             self.messages, self.last = self.messages + 1, max(self.last, logged)
 

@@ -1,6 +1,6 @@
 """Source `udp://[HOST]:PORT`: wrenches of any sender, one JSON or MessagePack object per datagram."""
 
-from collections import Counter, deque
+from collections import deque
 from collections.abc import Generator, Mapping
 from contextlib import closing
 from math import inf, isfinite, isnan, nan
@@ -85,7 +85,8 @@ class UdpSource:
 
     Attributes:
         address: host and port that receive.
-        counts: number of datagrams received, lost and malformed; interruptions.
+        counts: number of datagrams by kind, see `Listener`.
+        interruptions: number of interruptions so far.
     """
 
     def __init__(
@@ -105,8 +106,8 @@ class UdpSource:
         self._model, self._listener, self._log, self._frame, self._base = model, listener, log, frame, base
         text = f"no wrench within {wait:g} s; check the sender, its address and port"
         self._dropout = DropoutMonitor(self.title, log, text, wait)
-        self.counts: Counter[str] = Counter()
-        self._session, self._stretch = 0, 0
+        self.counts = listener.counts
+        self._session, self._stretch, self.interruptions = 0, 0, 0
         self._offset, self._time, self._arrival, self._step = 0.0, -inf, -inf, 0.0
         self._intervals: deque[float] = deque(maxlen=USUAL_INTERVALS)
         self._burst = 0.0  # longest interval between two bursts so far [s]
@@ -127,7 +128,7 @@ class UdpSource:
             listener.wait(STALE_TIME)
             started = monotonic()
             values = listener.pop()
-            self._count(listener)
+            self._log_messages(listener)
             if values:
                 yield from group_readings(map(self._reading, *zip(*values, strict=True)), len(values))
                 sleep(max(0.0, started + GATHER_TIME - monotonic()))
@@ -167,7 +168,7 @@ class UdpSource:
                     self._dropout.on_resumed(elapsed)
             elif self._dropout.ongoing or (elapsed > STALE_TIME and elapsed > self._stale_time):
                 self._stretch += 1
-                self.counts["interruptions"] += 1
+                self.interruptions += 1
                 if self._dropout.ongoing:
                     self._dropout.on_resumed(elapsed)
             self._intervals.append(elapsed)
@@ -177,19 +178,16 @@ class UdpSource:
             wrench = self._model.to_sensor(wrench, gravity)
         return WrenchReading(self._time, wrench, gravity, None, value.fault, self._stretch, arrival)
 
-    def _count(self, listener: Listener[ReceivedWrench]) -> None:
+    def _log_messages(self, listener: Listener[ReceivedWrench]) -> None:
         for line in listener.pop_messages():
             self._log(line)
-        counts = listener.counts
-        self.counts["received"], self.counts["lost"] = counts["taken"], counts["lost"]
-        self.counts["malformed"] = counts["invalid"]
         if monotonic() - self._reported[1] > REPORT_INTERVAL:
             self._report(listener)
 
     def _report(self, listener: Listener[ReceivedWrench]) -> None:
         lost = listener.counts["lost"]
         if lost > self._reported[0]:
-            self._log(f"{self.title}: {lost - self._reported[0]} wrenches lost; {self.counts['received']} received")
+            self._log(f"{self.title}: {lost - self._reported[0]} wrenches lost; {self.counts['taken']} received")
             self._reported = lost, monotonic()
 
 
