@@ -5,6 +5,8 @@ from pathlib import Path
 
 import numpy as np
 from rosbags.highlevel import AnyReader
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
 
 from probedesign.live.blocks import Block
 from probedesign.live.recordings.mcap_write import McapRecorder
@@ -60,30 +62,40 @@ def joined(blocks: list[Block]) -> list[bytes]:
     return [b"".join(getattr(each, name).tobytes() for each in blocks) for name in ("time", "wrench_sensor")]
 
 
-def bag(path: Path, topics: dict[str, list[tuple[float, list[float]]]], frame: str = "ft", **how) -> Path:
-    """A bag as rosbags writes one: by topic, times [s] and wrenches."""
-    from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
-    from rosbags.typesys import Stores, get_typestore
+STORE = get_typestore(Stores.ROS2_HUMBLE)
+ROS = {name.rpartition("/")[2]: kind for name, kind in STORE.types.items()}
 
-    store = get_typestore(Stores.ROS2_HUMBLE)
-    types = store.types
-    kind = "geometry_msgs/msg/WrenchStamped"
-    mode = how.pop("compression", None)
-    with_storage = how.pop("storage", "sqlite3")
-    plugin = StoragePlugin.MCAP if with_storage == "mcap" else StoragePlugin.SQLITE3
-    writer = Writer(path, version=9, storage_plugin=plugin)
-    if mode:
-        writer.set_compression(CompressionMode[mode], CompressionFormat.ZSTD)
-    stamped = how.pop("stamped", True)
+
+def header(time: float, frame: str):
+    """A header with a time stamp [s], zero without one."""
+    return ROS["Header"](ROS["Time"](*divmod(round(time * 1e9), 1_000_000_000)), frame)
+
+
+def write_bag(path: Path, kinds: dict[str, str], rows: list, storage: str = "sqlite3", compression: str = "") -> Path:
+    """A bag as rosbags writes one, of topics by type and rows of topic, time [s] and message."""
+    writer = Writer(path, version=9, storage_plugin=StoragePlugin[storage.upper()])
+    if compression:
+        writer.set_compression(CompressionMode[compression], CompressionFormat.ZSTD)
     with writer:
-        for topic, rows in topics.items():
-            connection = writer.add_connection(topic, how.get("kind", kind), typestore=store)
-            for time, wrench in rows:
-                second, rest = divmod(round(time * 1e9), 1_000_000_000) if stamped else (0, 0)
-                stamp = types["builtin_interfaces/msg/Time"](second, rest)
-                vectors = [types["geometry_msgs/msg/Vector3"](*wrench[i : i + 3]) for i in (0, 3)]
-                message = types[kind](
-                    types["std_msgs/msg/Header"](stamp, frame), types["geometry_msgs/msg/Wrench"](*vectors)
-                )
-                writer.write(connection, round(time * 1e9), store.serialize_cdr(message, kind))
+        topics = {name: writer.add_connection(name, kind, typestore=STORE) for name, kind in kinds.items()}
+        for name, time, message in rows:
+            writer.write(topics[name], round(time * 1e9), STORE.serialize_cdr(message, kinds[name]))
     return path
+
+
+def bag(
+    path: Path,
+    topics: dict[str, list[tuple[float, list[float]]]],
+    frame: str = "ft",
+    kind: str = "geometry_msgs/msg/WrenchStamped",
+    stamped: bool = True,
+    **how,
+) -> Path:
+    """A bag of wrenches: by topic, times [s] and wrenches."""
+    rows = [
+        (topic, time, ROS["WrenchStamped"](header(time * stamped, frame), ROS["Wrench"](*vectors)))
+        for topic, stated in topics.items()
+        for time, wrench in stated
+        for vectors in [[ROS["Vector3"](*wrench[i : i + 3]) for i in (0, 3)]]
+    ]
+    return write_bag(path, dict.fromkeys(topics, kind), rows, **how)

@@ -3,7 +3,6 @@
 import json
 import socket
 import time
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -23,6 +22,9 @@ from probedesign.live.poses.base_poses import (
 )
 from probedesign.live.poses.open import open_poses
 from probedesign.live.poses.pose_sources import listen, read_pose_file
+from probedesign.live.recordings.schemas import POSE, TRANSFORMS
+from tests.live.mcap_files import ROS, header, write_bag
+from tests.live.peers import until
 
 GOOD = {"time_s": 1.0, "x_mm": 1.0, "y_mm": 2.0, "z_mm": 3.0, "qx": 0.0, "qy": 0.0, "qz": 0.0, "qw": 1.0}
 
@@ -208,14 +210,6 @@ def robot(listener):
         yield udp
 
 
-def received(listener, counted, seconds=10.0):
-    """Wait until so many datagrams are counted."""
-    end = time.monotonic() + seconds
-    while sum(listener.counts.values()) < counted:
-        assert time.monotonic() < end, listener.counts
-        time.sleep(0.005)
-
-
 def test_a_flood_costs_no_more_than_its_share(listener, robot):
     """Enough datagrams for a message, faster than they are read: the ticks limit how many are taken."""
     start, lines, i = time.monotonic(), [], 0
@@ -237,7 +231,7 @@ def test_udp_poses_go_by_the_clock_of_the_wrench(robot, listener):
     for i in range(10):
         robot.send(json.dumps(GOOD | {"time_s": time.monotonic() - robot_zero, "x_mm": float(i)}).encode())
         time.sleep(0.005)
-    received(listener, 10)
+    until(lambda: listener.counts["taken"] == 10)
     now = np.array([time.monotonic()])
     poses.refresh(Block(now - wrench_zero, np.zeros((1, 6)), np.zeros(3), now))
     sent = time.monotonic() - wrench_zero
@@ -266,51 +260,24 @@ def test_the_offset_of_two_clocks_is_that_of_what_did_not_wait():
 # bags
 
 
-def stamped(t, frame, p, q, types):
-    whole = int(t)
-    stamp = types["builtin_interfaces/msg/Time"](sec=whole, nanosec=round((t - whole) * 1e9))
-    header = types["std_msgs/msg/Header"](stamp=stamp, frame_id=frame)
-    point = dict(zip("xyz", map(float, p), strict=True))
-    turn = types["geometry_msgs/msg/Quaternion"](**dict(zip("xyzw", map(float, q), strict=True)))
-    return header, point, turn
+def link(t, parent, child, p, q):
+    move = ROS["Transform"](ROS["Vector3"](*map(float, p)), ROS["Quaternion"](*q))
+    return ROS["TransformStamped"](header(t, parent), child, move)
 
 
-@pytest.fixture(scope="module", params=["sqlite3", "mcap"])
-def bag(request, tmp_path_factory):
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory):
     """A bag of PoseStamped on two topics, and TF of two joints and a still link; the poses and where the base is."""
-    rosbag2 = pytest.importorskip("rosbags.rosbag2")
-    from rosbags.typesys import Stores, get_typestore
-
-    store = get_typestore(Stores.LATEST)
-    types = store.types
-    path = tmp_path_factory.mktemp("bags") / request.param
-    plugin = {"sqlite3": rosbag2.StoragePlugin.SQLITE3, "mcap": rosbag2.StoragePlugin.MCAP}[request.param]
     first, turns, p = random_poses(5, seed=3)
     second, turns2, p2 = random_poses(5, seed=4)
-    kinds = SimpleNamespace(
-        pose="geometry_msgs/msg/PoseStamped", tf="tf2_msgs/msg/TFMessage", wrench="geometry_msgs/msg/WrenchStamped"
-    )
-    with rosbag2.Writer(path, version=9, storage_plugin=plugin) as writer:
-        topics = {t: writer.add_connection(t, kinds.pose, typestore=store) for t in ("/tool", "/other")}
-        tf = writer.add_connection("/tf", kinds.tf, typestore=store)
-        still = writer.add_connection("/tf_static", kinds.tf, typestore=store)
-
-        def link(t, parent, child, at, q):
-            header, point, turn = stamped(t, parent, at, q, types)
-            move = types["geometry_msgs/msg/Transform"](types["geometry_msgs/msg/Vector3"](**point), turn)
-            return types["geometry_msgs/msg/TransformStamped"](header, child, move)
-
-        def write(connection, t, message, kind):
-            writer.write(connection, int(t * 1e9), store.serialize_cdr(message, kind))
-
-        message = types[kinds.tf]([link(0.0, "flange", "probe", (0.0, 0.0, 0.1), (0.0, 0.0, 0.0, 1.0))])
-        write(still, 0.0, message, kinds.tf)
-        for a, b in zip(first, second, strict=True):
-            header, point, turn = stamped(a.time, "world", a.p, a.q, types)
-            there = types["geometry_msgs/msg/Pose"](types["geometry_msgs/msg/Point"](**point), turn)
-            write(topics["/tool"], a.time, types[kinds.pose](header, there), kinds.pose)
-            links = [link(a.time, "world", "arm", a.p, a.q), link(a.time, "arm", "flange", b.p, b.q)]
-            write(tf, a.time, types[kinds.tf](links), kinds.tf)
+    rows = [("/tf_static", 0.0, ROS["TFMessage"]([link(0.0, "flange", "probe", (0, 0, 0.1), (0.0, 0.0, 0.0, 1.0))]))]
+    for a, b in zip(first, second, strict=True):
+        there = ROS["Pose"](ROS["Point"](*a.p), ROS["Quaternion"](*a.q))
+        links = [link(a.time, "world", "arm", a.p, a.q), link(a.time, "arm", "flange", b.p, b.q)]
+        rows += [("/tool", a.time, ROS["PoseStamped"](header(a.time, "world"), there)),
+                 ("/tf", a.time, ROS["TFMessage"](links))]  # fmt: skip
+    kinds = {"/tool": POSE, "/other": POSE, "/tf": TRANSFORMS, "/tf_static": TRANSFORMS}
+    path = write_bag(tmp_path_factory.mktemp("bags") / "poses", kinds, rows, storage="mcap")
     chained = [
         pose(R.as_matrix(), x) @ pose(R2.as_matrix(), y) @ pose(p=(0.0, 0.0, 0.1))
         for R, x, R2, y in zip(turns, p, turns2, p2, strict=True)
@@ -356,7 +323,6 @@ def test_what_a_bag_does_not_hold(bag, query, stated):
 
 @pytest.mark.parametrize("name", ["empty.mcap", "empty.db3", "folder"])
 def test_what_is_no_bag(name, tmp_path):
-    pytest.importorskip("rosbags")
     path = tmp_path / name
     path.mkdir() if name == "folder" else path.write_bytes(b"not a bag")
     with pytest.raises(InputError, match=r"cannot be read as a ROS 2 bag|not an MCAP file"):
