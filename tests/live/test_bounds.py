@@ -251,7 +251,7 @@ def test_a_silent_source_ends_in_time(bundle, capsys):
 # Ctrl-C
 
 
-@pytest.mark.parametrize("module", ["cyclopts", "numpy", "numba", "probedesign.live.run"])
+@pytest.mark.parametrize("module", ["cyclopts", "numba"])
 def test_ctrl_c_at_the_start_is_one_line(bundle, tmp_path, module):
     """The signal arrives while the module is imported: here it raises it, at exactly that place."""
     hook = f"""

@@ -46,9 +46,7 @@ def ros():
     before, path = set(sys.modules), sys.path[:]
     sys.path[:0] = [str(ROOT / "tests" / "ros2_stub"), str(ROS / "probedesign_ros")]
     import probedesign_ros.node as node
-    from rclpy.node import Node
 
-    Node.overrides = {"port": 0, "control_port": 9002}
     yield node
     sys.path[:] = path
     for name in set(sys.modules) - before:
@@ -56,9 +54,16 @@ def ros():
             del sys.modules[name]
 
 
+def made(ros, **overrides):
+    """A node with parameters other than the usual ones of a test."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(ros.Node, "overrides", {"port": 0, "control_port": 9002} | overrides)
+        return ros.ProbeNode()
+
+
 @pytest.fixture
 def node(ros):
-    node = ros.ProbeNode()
+    node = made(ros)
     node._receiver._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 21)
     yield node
     node.destroy_node()
@@ -141,15 +146,13 @@ def test_the_transforms_form_one_tree(node, estimator):
 
 
 def test_a_prefix_of_the_frames(ros, estimator):
-    ros.Node.overrides = {"port": 0, "frame_prefix": "robot1/", "publish_tf": False}
-    node = ros.ProbeNode()
+    node = made(ros, frame_prefix="robot1/", publish_tf=False)
     a_run(node, estimator, seconds=2)
     assert {m.header.frame_id for m in sent(node, "~/base")} == {"world"}
     frames = {m.header.frame_id for m in sent(node, "~/wrench")}
     edges = {(t.header.frame_id, t.child_frame_id) for m in sent(node, "/tf") for t in m.transforms}
     assert frames == {"robot1/large/base"} and edges == {("robot1/large/base", "robot1/large/contact")}
     node.destroy_node()
-    ros.Node.overrides = {"port": 0, "control_port": 9002}
 
 
 def test_the_topics_of_several_probes_begin_with_their_names(node, estimator):
@@ -267,9 +270,13 @@ def test_shapes_and_the_next_touch_of_explore_are_published(node, estimator):
     assert node._receiver.counts["malformed"] == 1
 
 
-def test_every_command_is_a_service(ros, node):
+def test_every_command_is_a_service_and_waits_beside_the_topics(ros, node):
+    """They are in a group of their own, and the executor has a thread for each."""
     assert set(ros.COMMANDS.values()) == set(RUN_COMMANDS)
     assert set(node.services_made) == {f"~/{name}" for name in (*ros.COMMANDS, "command")}
+    (group,) = set(node.groups.values())
+    assert group is not None
+    assert "MultiThreadedExecutor(num_threads=2)" in Path(ros.__file__).read_text(encoding="utf-8")
 
 
 def test_services_have_the_results_of_the_run(ros):
@@ -277,8 +284,7 @@ def test_services_have_the_results_of_the_run(ros):
     commands, ended = CommandQueue(), threading.Event()
     commands.register("mark", lambda command: f"mark: {command.text}")
     inputs = DatagramInput("udp://:0", commands, lambda line: None)
-    ros.Node.overrides = {"port": 0, "control_port": inputs.address[1]}
-    node = ros.ProbeNode()
+    node = made(ros, control_port=inputs.address[1])
 
     def run():
         while not ended.wait(0.005):
@@ -302,7 +308,6 @@ def test_services_have_the_results_of_the_run(ros):
     thread.join()
     inputs.close()
     node.destroy_node()
-    ros.Node.overrides = {"port": 0, "control_port": 9002}
 
 
 def test_a_service_without_a_run_fails_in_time(ros):
@@ -329,7 +334,7 @@ def test_the_typed_message_is_that_of_the_recording():
 
 @pytest.mark.parametrize("package", ["probedesign_msgs", "probedesign_ros"])
 def test_the_manifest_of_a_package(package):
-    """REP 149: format 3, and the elements that it requires."""
+    """REP 149: format 3, the elements that it requires, and a key of rosdep for each import: the name of a package."""
     root = ElementTree.parse(ROS / package / "package.xml").getroot()
     assert root.tag == "package" and root.get("format") == "3"
     tags = [child.tag for child in root]
@@ -338,6 +343,15 @@ def test_the_manifest_of_a_package(package):
     assert all(maintainer.get("email") for maintainer in root.iter("maintainer"))
     expected = {"probedesign_msgs": "ament_cmake", "probedesign_ros": "ament_python"}[package]
     assert root.findtext("export/build_type") == expected
+    keys = {child.text for child in root if child.tag in ("depend", "exec_depend", "build_depend")}
+    imported = set()
+    for file in (ROS / package).rglob("*.py"):
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            modules = [node.module] if isinstance(node, ast.ImportFrom) else []
+            modules += [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+            imported |= {module.split(".")[0] for module in modules}
+    imported -= {*sys.stdlib_module_names, package, "setuptools"}
+    assert {"python3-numpy" if each == "numpy" else each for each in imported} <= keys  # rosdep's python.yaml
 
 
 def test_the_messages_are_generated():
@@ -392,42 +406,15 @@ def test_the_launch_file_offers_every_parameter_and_every_option(ros):
     assert "ros2://127.0.0.1:7001" in words and words[-4:] == ["--record", "my run.mcap", "--rate-hz", "50"]
 
 
-def test_the_launch_ends_with_the_run(ros):
-    (_, run), _ = launched(bundle="a.json")
-    assert type(run.options["on_exit"]).__name__ == "Shutdown"
-
-
-def test_every_option_of_the_launch_is_one_of_live(ros, capsys):
+def test_every_option_of_the_launch_is_one_of_live_and_it_ends_with_the_run(ros, capsys):
     """Only the frozen probe is missing, which is looked for after the options are read."""
     (_, run), _ = launched(bundle="a.json")
+    assert type(run.options["on_exit"]).__name__ == "Shutdown"
     assert run_command(run.options["cmd"][1:]) == 2
     assert "a.json: no such frozen probe" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("package", ["probedesign_msgs", "probedesign_ros"])
-def test_every_import_of_ros_has_a_key_for_rosdep(package):
-    """The keys of packages are their names; that of numpy is python3-numpy (rosdep's python.yaml)."""
-    root = ElementTree.parse(ROS / package / "package.xml").getroot()
-    keys = {child.text for child in root if child.tag in ("depend", "exec_depend", "build_depend")}
-    imported = set()
-    for file in (ROS / package).rglob("*.py"):
-        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
-            modules = [node.module] if isinstance(node, ast.ImportFrom) else []
-            modules += [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
-            imported |= {module.split(".")[0] for module in modules}
-    imported -= {*sys.stdlib_module_names, package, "setuptools"}
-    assert {"python3-numpy" if each == "numpy" else each for each in imported} <= keys
-
-
 # parameters and diagnostics
-
-
-def made(ros, **overrides):
-    ros.Node.overrides = {"port": 0, "control_port": 9002} | overrides
-    try:
-        return ros.ProbeNode()
-    finally:
-        ros.Node.overrides = {"port": 0, "control_port": 9002}
 
 
 def test_parameters_have_types_ranges_and_descriptions(ros):
@@ -481,10 +468,3 @@ def test_diagnostics_state_estimates_losses_and_silence(node, estimator, monkeyp
     assert [state.level for state in states] == [b"\x03", b"\x00", b"\x01", b"\x03"]
     assert {value.key: value.value for value in states[1].values}["estimates"] == "10"
     assert "3 datagrams lost" in states[2].message
-
-
-def test_services_wait_beside_the_topics(ros, node):
-    """They are in a group of their own, and the executor has a thread for each."""
-    groups = set(node.groups.values())
-    assert len(groups) == 1 and groups.pop() is not None
-    assert "MultiThreadedExecutor(num_threads=2)" in Path(ros.__file__).read_text(encoding="utf-8")
