@@ -4,8 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from probedesign.core.errors import InputError
-from probedesign.live.sources.netft_rdt import AXIA, NET_BOX, RATE_PERIOD, RateMonitor, SensorClock, fault_of
+from probedesign.live.sources.netft_rdt import AXIA, NET_BOX, RATE_PERIOD, RateMonitor, fault_of
 from probedesign.live.sources.source import open_source
 from probedesign.simulation.netft_box import NATIVE
 from tests.live.peers import Reader, box
@@ -44,11 +43,6 @@ def test_the_table_follows_the_product_and_is_stated(estimator, product, query, 
     assert any(note.endswith(f"of type {kind}") for note in source.notes)
 
 
-def test_an_unknown_table_is_refused(estimator):
-    with box(estimator) as peer, pytest.raises(InputError, match="netbox or axia"):
-        open_source(peer.source + "&sensor=other", estimator.model)
-
-
 def test_faults_of_the_stream_are_decoded_by_the_table(estimator):
     """The simulated box sets the bits of a Net Box at its limit, 31 and 17; an Axia has no condition at bit 17."""
     with box(estimator, replace(NATIVE, product="Axia80"), load=1e3) as peer, Reader(peer, estimator) as reader:
@@ -73,9 +67,8 @@ def test_another_rate_is_measured_and_reported_once(rate):
 
 
 def test_a_stated_rate_scales_the_time(estimator):
-    """Stated as half of what it is, time runs twice as fast as the host's clock; readings queue for 0.2 s at most."""
+    """Stated as half of what it is, time runs twice as fast as the host's clock; readings queue for 0.1 s at most."""
     with box(estimator) as peer, Reader(peer, estimator, "&clock_hz=3500") as reader:
-        reader.more(1400)
+        reader.more(700)
     first, last = reader.readings[0], reader.readings[-1]
-    assert last.time - first.time == pytest.approx(2.0 * (last.received - first.received), abs=0.4)
-    assert SensorClock(3500.0).restarts == 0
+    assert last.time - first.time == pytest.approx(2.0 * (last.received - first.received), abs=0.2)

@@ -308,7 +308,7 @@ def test_two_frames_of_tf(bag):
     ("query", "stated"),
     [
         ("", "has several topics of PoseStamped: '/tool', '/other'; select one with ?topic="),
-        ("?topic=/wrench", "has no topic '/wrench'; topics of PoseStamped: '/tool', '/other'"),
+        ("?topic=/wrench", "has no topic '/wrench' of PoseStamped; available are: '/tool', '/other'"),
         ("?topic=/other", "no poses"),
         ("?world=world", "use topic=/NAME, or world=FRAME&base=FRAME"),
         ("?world=world&base=gripper", "TF does not connect 'world' and 'gripper'; frames: arm, flange, probe, world"),

@@ -21,14 +21,7 @@ def mcap_of(folder):
 
 
 @pytest.mark.parametrize(
-    "how",
-    [
-        {},
-        {"storage": "mcap"},
-        {"storage": "mcap", "compression": "STORAGE"},
-        {"compression": "FILE"},
-        {"compression": "MESSAGE"},
-    ],
+    "how", [{}, {"storage": "mcap", "compression": "STORAGE"}, {"compression": "FILE"}, {"compression": "MESSAGE"}]
 )
 def test_a_bag_is_read_in_every_storage_format(model, tmp_path, how):
     """The stamp counts nanoseconds and a double near 1.7e9 s steps by 2.4e-7 s; the wrench is exact."""
@@ -64,15 +57,14 @@ def test_a_bag_gives_the_estimates_of_its_csv(estimator, tmp_path):
 def test_a_cut_bag_is_read_up_to_there(model, tmp_path):
     path = mcap_of(bag(tmp_path / "b", {"/ft": ROWS}, storage="mcap"))
     path.write_bytes(path.read_bytes()[:-100])
-    _, blocks = read(path, model)
-    assert sum(map(len, blocks)) == 300  # its one chunk precedes the cut
+    assert sum(map(len, read(path, model)[1])) == 300  # its one chunk precedes the cut
 
 
 def test_the_topic_is_chosen_or_named(model, tmp_path):
     folder = bag(tmp_path / "b", {"/left": ROWS[:2], "/right": ROWS[2:5]})
     with pytest.raises(InputError, match="several topics of WrenchStamped: '/left', '/right'"):
         read(folder, model)
-    with pytest.raises(InputError, match="no topic '/rihgt'; did you mean /right"):
+    with pytest.raises(InputError, match="no topic '/rihgt' of WrenchStamped; did you mean /right"):
         read(folder, model, RecordingOptions("/rihgt"))
     assert sum(map(len, read(folder, model, RecordingOptions("/right"))[1])) == 3
     assert "topic=/left" not in ReplaySource(model, folder, "topic=/left").title
@@ -83,7 +75,7 @@ def test_a_topic_without_messages_or_of_another_kind(model, tmp_path):
         read(bag(tmp_path / "empty", {"/ft": []}), model)
     with pytest.raises(InputError, match="has no topic of WrenchStamped"):
         read(bag(tmp_path / "poses", {"/pose": []}, kind="geometry_msgs/msg/PoseStamped"), model)
-    with pytest.raises(InputError, match="topic /pose has type 'geometry_msgs/msg/PoseStamped', not WrenchStamped"):
+    with pytest.raises(InputError, match="no topic '/pose' of WrenchStamped; available are: none"):
         read(tmp_path / "poses", model, RecordingOptions("/pose"))
 
 
@@ -112,23 +104,18 @@ def test_newton_millimetres_are_detected_and_can_be_selected(model, tmp_path):
     assert len(recorded.notes) == 1 and blocks[0].wrench_sensor[0, 4] == pytest.approx(0.003, rel=1e-15)
 
 
-@pytest.mark.parametrize("storage", ["sqlite3", "mcap"])
 @pytest.mark.parametrize(
     ("rows", "problem"),
     [
         ([(1.0, WRENCH), (2.0, [np.nan] * 6)], "Fx = nan N at 2 s exceeds the range"),
         ([(1.0, [1e5] * 6)], "Fx = 100000 N at 1 s exceeds the range of any sensor; raw counts"),
+        # as bags by file order have it; a database gives its messages in order of their recording
+        ([(2.0, WRENCH), (1.0, WRENCH)], "time decreases, from 2 s to 1 s"),
     ],
 )
-def test_what_is_no_reading_is_refused(model, tmp_path, storage, rows, problem):
+def test_what_is_no_reading_is_refused(model, tmp_path, rows, problem):
+    path = mcap_of(bag(tmp_path / "b", {"/ft": rows}, storage="mcap"))
     with pytest.raises(InputError, match=problem):
-        read(bag(tmp_path / "b", {"/ft": rows}, storage=storage), model)
-
-
-def test_time_that_runs_backward_is_refused(model, tmp_path):
-    """As bags by file order have it; a database gives its messages in order of their recording."""
-    path = mcap_of(bag(tmp_path / "b", {"/ft": [(2.0, WRENCH), (1.0, WRENCH)]}, storage="mcap"))
-    with pytest.raises(InputError, match="time decreases, from 2 s to 1 s"):
         read(path, model)
 
 

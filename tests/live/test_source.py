@@ -39,6 +39,7 @@ from tests.live.peers import averaged
         ("netft://host:99999", "write netft://HOST"),
         ("netft://host/path", "write netft://HOST"),
         ("netft://127.0.0.1?htp=80", "did you mean http?"),
+        ("netft://127.0.0.1?sensor=other", "sensor = 'other' must be netbox or axia"),
         ("netft://no.such.host.invalid", "is the box on"),
         ("netft://127.0.0.1?http=1", "Connection refused"),
         ("udp:9000", "write udp://:PORT"),

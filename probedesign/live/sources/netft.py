@@ -380,7 +380,6 @@ class NetFTSource:
         self.notes += buffer_note(self._session.buffer_bytes)
         rate = parameters["clock_hz"]
         self._clock, self._rate = SensorClock(rate), RateMonitor(rate)
-        self._dropout = DropoutMonitor(self._name, log, NO_RECORD)
         self._monitor = ConfigurationMonitor(*page, self.configuration, parameters["check_s"])
         self.notes += (f"its status codes are decoded as those of a sensor of type {self._table.kind}",)
         self.counts: Counter[str] = Counter()
@@ -394,7 +393,7 @@ class NetFTSource:
         self._session.wanted = readings
 
     def __iter__(self) -> Generator[Block, None, None]:
-        self._dropout.restart()
+        self._dropout = DropoutMonitor(self._name, self._log, NO_RECORD)
         self._started = monotonic()
         try:
             with self._monitor, prompt_estimates() as granted, closing(self._blocks()) as blocks:

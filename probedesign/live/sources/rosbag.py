@@ -66,22 +66,18 @@ def select_channel(bag: Bag, types: Collection[str], topic: str = "") -> BagTopi
     Raises:
         InputError: there is no such channel, or there are several and no name is given.
     """
-    channels = {channel.topic: channel for channel in bag.channels()}
-    fit = [name for name, channel in channels.items() if channel.type in types and channel.encoding == "cdr"]
+    fit = {channel.topic: channel for channel in bag.channels() if channel.type in types and channel.encoding == "cdr"}
     wanted = " or ".join(sorted(name.rpartition("/")[2] for name in types))
-    listed = ", ".join(map(quoted, fit[:10])) or "none"
-    if topic and topic in channels and topic not in fit:
-        other = quoted(channels[topic].type)
-        raise InputError(f"{bag.path}: topic {topic} has type {other}, not {wanted}; available are: {listed}")
+    listed = ", ".join(map(quoted, list(fit)[:10])) or "none"
     if topic and topic not in fit:
         near = difflib.get_close_matches(topic, fit, 1)
         hint = f"did you mean {near[0]}? " if near else ""
-        raise InputError(f"{bag.path}: has no topic {topic!r}; {hint}topics of {wanted}: {listed}")
+        raise InputError(f"{bag.path}: has no topic {topic!r} of {wanted}; {hint}available are: {listed}")
     if not fit:
         raise InputError(f"{bag.path}: has no topic of {wanted}" + (f" (damaged: {bag.damage})" if bag.damage else ""))
     if len(fit) > 1 and not topic:
         raise InputError(f"{bag.path}: has several topics of {wanted}: {listed}; select one with ?topic=")
-    return channels[topic or fit[0]]
+    return fit[topic or next(iter(fit))]
 
 
 class RosBag:

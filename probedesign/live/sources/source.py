@@ -165,16 +165,12 @@ class DropoutMonitor:
     """
 
     def __init__(self, name: str, log: Log, no_record_text: str, timeout: float = FIRST_RECORD_TIMEOUT) -> None:
-        """Start before the first record; `no_record_text` is the error if none arrives within `timeout` [s]."""
+        """Start to wait for the first record; `no_record_text` is the error if none arrives within `timeout` [s]."""
         self._name, self._log, self._no_record_text = name, log, no_record_text
         self.ongoing, self.reason = False, ""
         self._n_reports = 0
         self._interruptions: list[float] = []
         self._opened, self._timeout = monotonic(), timeout
-
-    def restart(self) -> None:
-        """Restart the wait for the first record."""
-        self._opened = monotonic()
 
     def on_silence(self, last: float, hint: str = "asking again") -> None:
         """Handle the absence of usable records.

@@ -104,8 +104,7 @@ class UdpSource:
         """
         self.title, self.notes, self.address = listener.title, listener.notes, listener.address
         self._model, self._listener, self._log, self._frame, self._base = model, listener, log, frame, base
-        text = f"no wrench within {wait:g} s; check the sender, its address and port"
-        self._dropout = DropoutMonitor(self.title, log, text, wait)
+        self._wait = wait
         self.counts = listener.counts
         self._session, self._stretch, self.interruptions = 0, 0, 0
         self._offset, self._time, self._arrival, self._step = 0.0, -inf, -inf, 0.0
@@ -114,7 +113,8 @@ class UdpSource:
         self._reported = (0, -inf)
 
     def __iter__(self) -> Generator[Block, None, None]:
-        self._dropout.restart()
+        text = f"no wrench within {self._wait:g} s; check the sender, its address and port"
+        self._dropout = DropoutMonitor(self.title, self._log, text, self._wait)
         with closing(self._listener) as listener:
             listener.start()
             try:
