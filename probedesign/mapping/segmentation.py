@@ -7,7 +7,8 @@ import numpy as np
 
 from probedesign.core.frames import Array
 from probedesign.live.processing.estimates import EstimateUpdate
-from probedesign.live.processing.touches import LEVER, SPAN
+from probedesign.live.processing.motion import LEVER
+from probedesign.live.processing.touches import SPAN
 
 #: Largest difference of poses of a stationary base [m], for rotations times `LEVER`: the repeatability of a robot
 #: (`Tolerances.robot_mm`, assumed).

@@ -191,14 +191,6 @@ def test_free_probe_has_no_contact_at_any_orientation(estimator, turned):
     assert "moving" in {a.phase for a in known} and chain.contacts == ()
 
 
-def test_a_turning_base_without_poses_feels_its_own_weight(estimator, turned):
-    """That the test above can fail."""
-    time, wrench, _ = turned
-    plan = ProcessingOptions(TareWindow(0.0, 0.9), SAMPLES, rate=1.0)
-    answers, _, _ = run(estimator, blocks(estimator.model, wrench, time), None, plan)
-    assert answers[-1].estimate.result != "no_contact"
-
-
 def test_without_a_pose_there_is_no_number(estimator, motion):
     """Poses lack from 1.0 to 1.4 s and from 1.8 s on."""
     all_poses = reported_poses(motion)

@@ -23,7 +23,6 @@ from probedesign.live.processing.commands import (
     DatagramInput,
     KeyInput,
 )
-from probedesign.live.processing.tare import TareWindow
 from probedesign.live.run import estimate_stream
 from probedesign.live.sources.sim import SimulatedSource
 from tests.live.peers import until
@@ -70,24 +69,6 @@ def test_what_is_accepted_and_what_is_refused(run, tmp_path):
     assert [result.accepted for result in second] == [True, False, True]  # nothing is executed after the end
     assert second[0].text.startswith("recorded ") and second[0].text.endswith(str(tmp_path / "touch.csv"))
     assert list(run[2]) == [] and (tmp_path / "touch.csv").exists()
-
-
-def test_an_existing_file_is_refused_as_at_the_start(run, tmp_path):
-    (tmp_path / "touch.csv").write_text("mine")
-    (result,) = results_of(run, "start recording")
-    assert not result.accepted and "exists already" in result.text
-    assert (tmp_path / "touch.csv").read_text() == "mine"
-
-
-def test_a_tare_during_a_touch_is_refused_for_everyone(estimator):
-    """By whichever way: the queue does not know where a command came from. The simulated contact touches at 5 s."""
-    commands, lines, results = CommandQueue(), [], []
-    source = SimulatedSource(estimator.model, "speed=max&seconds=8&rate_hz=50")
-    options = ProcessingOptions(TareWindow(0.0, 1.5))
-    for update in estimate_stream(estimator, source, options, lines.append, None, commands):
-        if update.phase in ("touching", "settled") and not results:
-            commands.put("tare", reply=results.append)
-    assert not results[0].accepted and "previous tare is kept" in results[0].text
 
 
 def test_a_mark_cannot_control_a_terminal(run):

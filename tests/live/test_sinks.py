@@ -15,7 +15,6 @@ from probedesign.core.errors import InputError
 from probedesign.live.blocks import WrenchReading
 from probedesign.live.outputs.sinks import SinkGroup, StderrSink, UdpPublisher
 from probedesign.live.processing.chain import ProcessingOptions
-from probedesign.live.processing.commands import CommandQueue
 from probedesign.live.processing.estimates import COLUMNS, EstimateUpdate
 from probedesign.live.run import estimate_stream
 from probedesign.live.sources.sim import SimulatedSource
@@ -47,14 +46,15 @@ class Broken(Kept):
         raise OSError(28, "No space left on device")
 
 
-def test_every_sink_sees_every_reading_and_answer(estimator):
+def test_every_sink_sees_every_reading_and_answer_and_messages_have_the_time_of_the_last_reading(estimator):
     kept, plan = Kept(), ProcessingOptions(samples=2)
-    answers = list(
-        estimate_stream(estimator, SimulatedSource(estimator.model, "speed=max&rate_hz=2"), plan, print, kept)
-    )
+    sinks, source = SinkGroup(kept), SimulatedSource(estimator.model, "speed=max&rate_hz=2")
+    answers = list(estimate_stream(estimator, source, plan, print, sinks))
     assert sum(map(len, kept.blocks)) == 40
     assert kept.answers == answers and len(answers) == 20
     assert not kept.closed  # who opens it closes it
+    sinks.log("now")
+    assert kept.lines == [(pytest.approx(19.5), "now")]
 
 
 @pytest.mark.parametrize("call", ["on_samples", "on_estimate", "on_event", "close"])
@@ -69,33 +69,6 @@ def test_a_sink_that_fails_is_dropped_with_one_line_and_the_others_go_on(estimat
     assert kept.closed == 1
     failures = [line for _, line in kept.lines if "Broken" in line]
     assert len(failures) == 1 and "No space left on device" in failures[0]
-
-
-def test_a_message_has_the_time_of_the_last_reading(estimator):
-    kept = Kept()
-    sinks = SinkGroup(kept)
-    list(
-        estimate_stream(
-            estimator, SimulatedSource(estimator.model, "speed=max&seconds=1"), ProcessingOptions(), print, sinks
-        )
-    )
-    sinks.log("now")
-    assert kept.lines == [(pytest.approx(0.98), "now")]  # the last of 50 readings a second
-
-
-def test_requests_are_taken_between_two_readings(estimator):
-    requests, log_lines, done = CommandQueue(), [], []
-    requests.register("start recording", done.append)
-    answers = estimate_stream(
-        estimator, SimulatedSource(estimator.model, "speed=max"), ProcessingOptions(), log_lines.append, None, requests
-    )
-    next(answers)
-    requests.put("mark", "here")
-    requests.put("start recording")
-    next(answers)
-    assert log_lines == ["mark: here"] and [request.name for request in done] == ["start recording"]
-    requests.put("stop")
-    assert list(answers) == []
 
 
 # messages
@@ -236,9 +209,6 @@ def test_a_network_that_accepts_nothing_is_reported_once_and_counted(estimator):
 def test_what_is_no_address(wrong):
     with pytest.raises(InputError, match="write udp://HOST:PORT"):
         UdpPublisher(wrong, print)
-
-
-def test_an_unknown_host_is_reported():
     with pytest.raises(InputError, match=r"--publish udp://no-such-host\.invalid:9"):
         UdpPublisher("udp://no-such-host.invalid:9", print)
 

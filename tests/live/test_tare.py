@@ -30,7 +30,8 @@ def biased(readings):
 
 
 def test_a_constant_bias_is_removed_completely(estimator, readings, biased):
-    """Up to the noise's own mean, which both windows share: 1e-12 allows for the rounding of sums of 20."""
+    """Up to the noise's own mean, which both windows share: 1e-12 allows for the rounding of sums of 20. The mean of 20
+    readings is off by σ/√20, by 5 of these at most."""
     window = TareWindow(0.0, 2.0)
     with_bias = tare_of(biased, window, estimator)
     without = tare_of(readings, window, estimator)
@@ -40,14 +41,7 @@ def test_a_constant_bias_is_removed_completely(estimator, readings, biased):
         expected = wrench_without_bias(estimator.model, reading, without)
         found = wrench_without_bias(estimator.model, raw, with_bias)
         assert found == pytest.approx(expected, abs=1e-14)  # of 1 N
-
-
-def test_the_noise_of_the_window_is_all_that_is_left(estimator, biased):
-    """The mean of 20 readings is off by σ/√20, by 5 of these at most."""
-    window = TareWindow(0.0, 2.0)
-    tare = tare_of(biased, window, estimator)
-    std = estimator.model.noise.std
-    assert (np.abs(tare.bias_sensor - BIAS) < 5.0 * std / np.sqrt(20.0)).all()
+    assert (np.abs(with_bias.bias_sensor - BIAS) < 5.0 * estimator.model.noise.std / np.sqrt(20.0)).all()
 
 
 def test_no_tare_is_taken_without_a_request(estimator, biased):

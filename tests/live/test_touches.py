@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from probedesign.core.frames import pose
-from probedesign.live.processing.touches import MAX_TRAVEL, SPAN, PhaseTracker, StationarityTest
+from probedesign.live.processing.motion import MAX_TRAVEL
+from probedesign.live.processing.touches import SPAN, PhaseTracker, StationarityTest
 
 RATE = 200.0
 COUNT = int(SPAN * RATE)

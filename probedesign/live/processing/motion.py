@@ -32,7 +32,8 @@ LIMIT = 1.0  #: Unexplained motion in standard deviations of a reading; its mean
 #: Factor on all that for the modes beyond the first, a frequency that is off by ten percent, and an acceleration that
 #: changes faster than before. Assumed.
 MARGIN = 1.5
-#: Travel of the base within `SPAN` below which it rests [m], as in `touches`; a rotation of 1 rad counts as 0.1 m.
+#: Travel of the base below which it rests [m]: five times the scatter of a robot's poses (`Tolerances.robot_mm`,
+#: assumed); a rotation of 1 rad counts as 0.1 m, as in the tracker.
 MAX_TRAVEL, LEVER = 50e-6, 0.1
 
 #: Least number of periods of a sway in the readings that it is fitted to, and of readings in a period: with fewer, it

@@ -33,18 +33,14 @@ from probedesign.live.blocks import joined
 from probedesign.live.poses.base_poses import BasePoses
 from probedesign.live.processing.averaging import AveragedBatch
 from probedesign.live.processing.drift import DriftFollower
+from probedesign.live.processing.motion import LEVER, MAX_TRAVEL, MotionMonitor, fit_sway, parabola
 from probedesign.live.processing.motion import SPAN as FIT_SPAN
-from probedesign.live.processing.motion import MotionMonitor, fit_sway, parabola
 from probedesign.live.processing.tare import CHANNELS, Tare
 
 Phase = Literal["", "free", "moving", "touching", "settled", "released"]
 
 #: Length of the interval that is tested [s]; a soft probe of the paper's size oscillates 1.5 times in it. Assumed.
 SPAN = 0.25
-#: Maximum travel of a stationary base within `SPAN` [m]: five times the scatter of a robot's poses
-#: (`Tolerances.robot_mm`, assumed). Rotations count over `LEVER`.
-MAX_TRAVEL = 50e-6
-LEVER = 0.1  #: Lever arm that converts a rotation to a distance [m], as in the tracker.
 #: Probability that readings without a sway are not smooth: that only delays a position. A sway of 1.3 standard
 #: deviations of 48 readings is as improbable.
 SMOOTH_CHANCE = 0.05
@@ -152,31 +148,27 @@ class StationarityTest:
         return bool((steps * steps @ _TRAVELS).max() > MAX_TRAVEL**2)
 
 
-class PhaseTracker:
+class PhaseTracker(StationarityTest):
     """Tracks the phase of the touch, reading by reading."""
 
-    def __init__(self, model: ProbeModel, rate: float) -> None:
-        """Start with no reading; see `StationarityTest` for the arguments."""
-        self.stationarity = StationarityTest(model, rate)
-        self._phase: Phase = ""
+    _phase: Phase = ""
 
     def next(self, touching: Touching, wrench: Array, T_world_base: Array | None) -> Phase:
         """Return the phase after one more reading; see `StationarityTest.update`.
 
         `touching` is the last decision of the detector for it; "lost" if that was the decision for any of its samples.
         """
-        stationarity = self.stationarity
         if touching == "lost" or (touching == "contact") != (self._phase in ("touching", "settled")):
-            stationarity.reset()
-        stationarity.update(wrench, T_world_base)
-        moving = stationarity.moving
+            self.reset()
+        self.update(wrench, T_world_base)
+        moving = self.moving
         if touching == "lost":
             self._phase = "released"
         elif touching == "contact":
-            self._phase = "settled" if stationarity.stationary and not moving else "touching"
-        elif self._phase != "released" or stationarity.full:
+            self._phase = "settled" if self.stationary and not moving else "touching"
+        elif self._phase != "released" or self.full:
             if moving is None:
-                moving = stationarity.full and not stationarity.stationary
+                moving = self.full and not self.stationary
             self._phase = "moving" if moving else "free"
         return self._phase
 
@@ -373,7 +365,7 @@ class TouchMonitor:
         self._follower = DriftFollower(model, self._detector.bias_filter, estimator.priors.drift_steps)
         self._sure = False
         #: Readings of the touch that are not fused yet, and whether the last ones were explained.
-        self._unfused, self._explained = deque[_Reading](maxlen=self._phases.stationarity.readings), False
+        self._unfused, self._explained = deque[_Reading](maxlen=self._phases.readings), False
         self.in_motion, self._alarm, self._largest = False, math.nan, 0.0
         self.warming_up, self._next_check, self._held = False, -math.inf, _Held()
         self._changes = b"", np.empty((0, 6))  # those of touches, and the gravity of that
@@ -484,7 +476,7 @@ class TouchMonitor:
                       f"positions for about {self._follower.wait:.0f} s, if the drift levels off")  # fmt: skip
         elif self.warming_up and not self._follower.warming_up:
             self._log(f"the drift of the sensor's zero is followed again: {rate:.3g} steps of the resolution a minute")
-            self._phases.stationarity.reset()
+            self._phases.reset()
         self.warming_up = self._follower.warming_up
         return self.warming_up
 
@@ -495,7 +487,7 @@ class TouchMonitor:
         What a touch may have caused stays a touch.
         """
         model, known = self._estimator.model, self._detector.bias_filter.known()
-        mean = np.linalg.solve(model.whiten, self._phases.stationarity.mean)
+        mean = np.linalg.solve(model.whiten, self._phases.mean)
         change, step = mean - known.excess, model.noise.std * math.sqrt(model.averaging_samples)
         in_steps = model.to_sensor(change, np.zeros(3)) / step
         in_noise = in_steps / math.sqrt(
@@ -551,11 +543,11 @@ class TouchMonitor:
 
     def on_interruption(self) -> None:
         """Handle missing readings between the last batch and the next."""
-        self._phases.stationarity.reset()
+        self._phases.reset()
 
     def on_leap(self, time: float) -> None:
         """Handle a leap of the base: what was touched before it and what is touched after it are two touches."""
-        self._phases.stationarity.reset()
+        self._phases.reset()
         self._contacts.update(time, "", None)
         if self._tracker is not None:
             self._tracker.restart()
@@ -567,7 +559,7 @@ class TouchMonitor:
         """
         self._unfused.append(reading)
         chance = KEPT_CHANCE if self._explained else SMOOTH_CHANCE
-        sway = self._phases.stationarity.sway(len(self._unfused), chance)
+        sway = self._phases.sway(len(self._unfused), chance)
         self._explained = sway is not None
         if sway is None:
             return self._fused(["contact"], *reading)
