@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterator
+from dataclasses import asdict
 from datetime import date
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -90,7 +91,7 @@ def measured(
         fitted = measured_print.fit_axis(start, measured_print.read_outline(axis), before)
         factor = (fitted.factor, fitted.factor_std) if fitted.factor_std > 0.0 else None
         changes = measured_print.axis_changes(start, fitted.bow_mm, fitted.bow_std_mm, factor, f"measured {day}")
-        document = fitted.as_dict()
+        document = asdict(fitted)
         what, lines = _axis_lines(fitted)
     elif bow_mm is not None:
         changes = measured_print.bow_changes(start, bow_mm, bow_std_mm, f"measured {day}")
@@ -99,7 +100,7 @@ def measured(
         lines = [_bow_test(bow_mm, bow_std_mm), "deploy the probe again, with this design; the parts stay"]
     elif calipers is not None and measured_print.is_coupon_sheet(calipers):
         scale = measured_print.fit_scale(*measured_print.read_coupon(calipers, start.resin.name), calipers_std_mm)
-        changes, document = measured_print.scale_changes(scale, day), scale.as_dict()
+        changes, document = measured_print.scale_changes(scale, day), asdict(scale)
         what, lines = _scale_lines(scale)
     elif calipers is not None:
         readings = measured_print.read_calipers(calipers, start)

@@ -16,8 +16,7 @@ these are greater than stated (R. T. Birge, Physical Review 40 (1932) 207).
 import json
 import math
 import re
-from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -119,38 +118,33 @@ def read_calipers(path: Path, design: Design) -> Calipers:
     Raises:
         InputError: the file cannot be used, is of another probe, or a place is not on the flank.
     """
-    rows = read_rows(path, SCHEMA)
-    fingerprint = build_geometry(design).fingerprint
-    for number, named in _named(rows, "fingerprint"):
-        if named.lower() != fingerprint:
-            rows.lines.fail(number, f"the calipers are of geometry {named!r}, the design has {fingerprint}; name the "
-                                    "design as it was printed, without measured diameters")  # fmt: skip
+    rows, geometry, probe = read_rows(path, SCHEMA), build_geometry(design), design.probe
+    _check_named(rows, "fingerprint", geometry.fingerprint, "the calipers are of geometry {!r}, the design has {}; "
+                 "name the design as it was printed, without measured diameters")  # fmt: skip
     values = np.column_stack([rows.required("s", "diameter"), rows.numbers("diameter_y")]) / MM
-    none_needed = np.zeros(len(rows), dtype=bool)
-    std = rows.std("std", none_needed, "") / MM
-    probe = design.probe
+    std = rows.std("std", np.zeros(len(rows), dtype=bool), "") / MM
     first = 0.0 if probe.base_fillet_mm is None else filleted(probe.blunt_mm, probe.base_fillet_mm)[1]
     last = probe.flank_end_mm
     for row in np.flatnonzero((values[:, 0] < first) | (values[:, 0] > last))[:1]:
-        rows.fail(
-            int(row), f"s = {values[row, 0]:g} mm is not on the flank, {first:.4g} ... {last:.4g} mm from the base"
-        )
+        rows.fail(int(row), f"s = {values[row, 0]:g} mm is not on the flank, {first:.4g} ... {last:.4g} mm from the "
+                            "base")  # fmt: skip
     for row, column in np.argwhere(values[:, 1:] <= 0.0)[:1]:
-        read = values[row, 1 + column]
-        rows.fail(int(row), f"diameter = {read:g} mm is not positive; write the reading of the calipers")
+        rows.fail(int(row), f"diameter = {values[row, 1 + column]:g} mm is not positive; write the reading of the "
+                            "calipers")  # fmt: skip
     std = np.where(np.isnan(std), READING_STD_MM, std)
     row, column = np.nonzero(np.isfinite(values[:, 1:]))
     # along y the section is narrower by its flatness, and so is the error of what is taken as along x
-    factor = np.where(column == 1, 1.0 / build_geometry(design).cross_section.flatness, 1.0)
+    factor = np.where(column == 1, 1.0 / geometry.cross_section.flatness, 1.0)
     places = tuple(f"{path}:{rows.lines.numbers[i]}" for i in row)
     return Calipers(values[row, 0], factor * values[row, 1 + column], factor * std[row], places)
 
 
-def _named(rows: TableRows, key: str) -> Iterator[tuple[int, str]]:
+def _check_named(rows: TableRows, key: str, expected: str, problem: str) -> None:
+    """Refuse a comment `# key: NAME` with another name than expected."""
     for number, line in rows.lines.comments:
         match = re.match(rf"\s*#\s*{key}\s*[:=]\s*(\S*)", line, re.IGNORECASE)
-        if match:
-            yield number, match[1]
+        if match and match[1].lower() != expected:
+            rows.lines.fail(number, problem.format(match[1], expected))
 
 
 def _check_shared_error(calipers_std_mm: float) -> None:
@@ -184,47 +178,39 @@ def fit_diameters(
     common = np.maximum(tolerances.diameter_mm, tolerances.diameter_share * drawn)
     scatter, is_cylinder = tolerances.diameter_scatter_mm, design.probe.shape == "cylinder"
     # a cylinder's one diameter is the mean of its knots, whose scatter the readings have as well
-    linear = np.column_stack([np.interp(calipers.s, s, unit) for unit in np.eye(len(s))])
-    A = np.ones((len(calipers.s), 1)) if is_cylinder else linear
-    x, c = (drawn[:1], common[:1]) if is_cylinder else (drawn, common)
-    prior = np.outer(c, c) + PRINT_SCALE_STD**2 * np.outer(x, x) + (0.0 if is_cylinder else scatter**2) * np.eye(len(x))
-    variance = calipers.std**2 + (scatter**2 if is_cylinder else 0.0)
-    deviation = calipers.diameter - A @ x
+    knots = np.ones((1, len(s))) if is_cylinder else np.eye(len(s))  # by the diameters that are fitted
+    A = np.column_stack([np.interp(calipers.s, s, knot) for knot in knots])
+    x, c = drawn[: len(knots)], common[: len(knots)]
+    of_knot, of_reading = (0.0, scatter) if is_cylinder else (scatter, 0.0)
+    prior = np.outer(c, c) + PRINT_SCALE_STD**2 * np.outer(x, x) + of_knot**2 * np.eye(len(x))
+    variance, deviation = calipers.std**2 + of_reading**2, calipers.diameter - A @ x
     stated = A @ prior @ A.T + np.diag(variance) + calipers_std_mm**2  # not widened: another probe scatters, too
     kept, dropped = _outliers(stated, deviation, [
         f"{where}: {read:g} mm at s = {at:g} mm"
         for where, read, at in zip(calipers.places, calipers.diameter, calipers.s, strict=True)
     ])  # fmt: skip
-    A, variance, deviation, s_read, read = (
-        A[kept],
-        variance[kept],
-        deviation[kept],
-        calipers.s[kept],
-        calipers.diameter[kept],
-    )
+    A, variance, deviation = A[kept], variance[kept], deviation[kept]
     W, y = A / np.sqrt(variance)[:, None], deviation / np.sqrt(variance)
-    knots, _, rank, _ = np.linalg.lstsq(W, y, rcond=None)
-    scale = max(1.0, float(np.linalg.norm(W @ knots - y)) / math.sqrt(max(len(y) - int(rank), 1)))
+    best, _, rank, _ = np.linalg.lstsq(W, y, rcond=None)
+    scale = max(1.0, float(np.linalg.norm(W @ best - y)) / math.sqrt(max(len(y) - int(rank), 1)))
     noise = np.diag(scale**2 * variance) + calipers_std_mm**2
     allowed = MAX_DEVIATIONS * np.sqrt(np.diag(stated))[kept]
     worst = int(np.argmax(np.abs(deviation) / allowed))
     if abs(deviation[worst]) > allowed[worst]:
-        raise InputError(
-            f"{calipers.places[kept[worst]]}: diameter = {read[worst]:g} mm where the design has "
-            f"{read[worst] - deviation[worst]:.3f} mm at s = {s_read[worst]:g} mm; the tolerance of the print "
-            f"allows ±{allowed[worst]:.2f} mm: check probe, unit and place, or widen diameter_mm in [tolerances]"
-        )
+        at, read = calipers.s[kept[worst]], calipers.diameter[kept[worst]]
+        raise InputError(f"{calipers.places[kept[worst]]}: diameter = {read:g} mm where the design has "
+                         f"{read - deviation[worst]:.3f} mm at s = {at:g} mm; the tolerance of the print allows "
+                         f"±{allowed[worst]:.2f} mm: check probe, unit and place, or widen diameter_mm in "
+                         "[tolerances]")  # fmt: skip
     prior_scale = _contradiction(A, prior, noise, deviation)
     prior = prior_scale**2 * prior
     gain = np.linalg.solve(A @ prior @ A.T + noise, A @ prior).T
     joseph = np.eye(len(x)) - gain @ A  # the form that stays positive
     cov = joseph @ prior @ joseph.T + gain @ noise @ gain.T
     together, each = (float(np.sqrt(cov[0, 0])), scatter) if is_cylinder else covering(cov)
-    measured = np.round((x + gain @ deviation) * np.ones(len(s)), 3)  # a design gets micrometres
-    return MeasuredDiameters(
-        s, drawn, measured, cov, len(kept), dropped, scale, prior_scale, (float(common.max()), scatter),
-        (together, each),
-    )  # fmt: skip
+    measured = np.round((x + gain @ deviation) @ knots, 3)  # a design gets micrometres
+    return MeasuredDiameters(s, drawn, measured, cov, len(kept), dropped, scale, prior_scale,
+                             (float(common.max()), scatter), (together, each))  # fmt: skip
 
 
 def _outliers(cov: Array, deviation: Array, names: list[str]) -> tuple[list[int], tuple[str, ...]]:
@@ -287,17 +273,16 @@ def diameter_changes(measurement: MeasuredDiameters, design: Design, day: str) -
     probe = design.probe
     mean = [float(d) for d in measurement.measured]
     note = f"measured {day}, {measurement.readings} readings: ± {{:.2g}} mm (one standard deviation)"
-    values: dict[str, tuple[str, str]] = {"base_d_mm": (repr(mean[0]), note.format(measurement.std[0]))}
+    changes = [Change("probe", "base_d_mm", repr(mean[0]), note.format(measurement.std[0]))]
     if probe.tip_d_mm is not None:
-        values["tip_d_mm"] = (repr(mean[-1]), note.format(measurement.std[-1]))
+        changes.append(Change("probe", "tip_d_mm", repr(mean[-1]), note.format(measurement.std[-1])))
     if probe.profile_mm is not None:
-        pairs = [[float(s), d] for s, d in zip(measurement.s, mean, strict=True)]
-        values["profile_mm"] = (json.dumps(pairs), note.format(measurement.std.max()))
-    changes = [Change("probe", key, text, comment) for key, (text, comment) in values.items()]
-    changes.append(_measured(design, *values))
-    if set(probe.assumed) & set(values):
-        kept = [key for key in probe.assumed if key not in values]
-        changes.append(Change("probe", "assumed", json.dumps(kept)))
+        pairs = json.dumps([[float(s), d] for s, d in zip(measurement.s, mean, strict=True)])
+        changes.append(Change("probe", "profile_mm", pairs, note.format(measurement.std.max())))
+    keys = [change.key for change in changes]
+    changes.append(_measured(design, *keys))
+    if set(probe.assumed) & set(keys):
+        changes.append(Change("probe", "assumed", json.dumps([key for key in probe.assumed if key not in keys])))
     together, each = measurement.after
     after = f"measured {day}: "
     changes += [
@@ -372,10 +357,6 @@ class CouponScale:
     left_mm: float  #: largest deviation of a diameter from what these explain [mm].
     rows: int  #: number of diameters with a reading.
 
-    def as_dict(self) -> dict[str, Any]:
-        """Return plain data."""
-        return asdict(self)
-
 
 def is_coupon_sheet(path: Path) -> bool:
     """Return whether a file is the sheet of a coupon: its header has the column of drawn diameters."""
@@ -400,11 +381,7 @@ def read_coupon(path: Path, resin: str) -> tuple[Array, Array, Array, NDArray[np
         InputError: the file cannot be used, is of another resin, or too few places have a reading.
     """
     rows = read_rows(path, COUPON_SCHEMA)
-    for number, named in _named(rows, "resin"):
-        if named != resin:
-            rows.lines.fail(
-                number, f"the coupon is of {named!r}, the design of {resin}; a shrinkage is that of one resin"
-            )
+    _check_named(rows, "resin", resin, "the coupon is of {!r}, the design of {}; a shrinkage is that of one resin")
     values = rows.numbers("drawn", "diameter_x", "diameter_y") / MM
     for row in np.flatnonzero(~(values[:, 0] > 0.0) | (values[:, 1:] <= 0.0).any(axis=1))[:1]:
         rows.fail(int(row), "drawn_mm and the diameters must be positive; leave what was not measured empty")
@@ -413,9 +390,8 @@ def read_coupon(path: Path, resin: str) -> tuple[Array, Array, Array, NDArray[np
     is_length = np.array([name == LENGTH_ROWS for name in rows.texts("part")])
     across = read & ~is_length
     if across.sum() < MIN_ROWS or len(set(values[across, 0])) < 2:
-        raise InputError(
-            f"{path}: {int(across.sum())} places with a reading; fill in at least {MIN_ROWS}, of two diameters"
-        )
+        raise InputError(f"{path}: {int(across.sum())} places with a reading; fill in at least {MIN_ROWS}, of two "
+                         "diameters")  # fmt: skip
     return values[read, 0], np.nanmean(values[read, 1:], axis=1), count[read], is_length[read]
 
 
@@ -454,10 +430,8 @@ def _scale_of(
     x = gain @ measured
     size, offset = float(x[0]), float(x[1]) if with_offset else 0.0
     if not SCALE_RANGE[0] <= 1.0 / size <= SCALE_RANGE[1]:
-        raise InputError(
-            f"the coupon is {size:.4g} times as large as drawn; allowed is 1/{SCALE_RANGE[1]:g} ... "
-            f"1/{SCALE_RANGE[0]:g}: check the unit and the sheet"
-        )
+        raise InputError(f"the coupon is {size:.4g} times as large as drawn; allowed is 1/{SCALE_RANGE[1]:g} ... "
+                         f"1/{SCALE_RANGE[0]:g}: check the unit and the sheet")  # fmt: skip
     residuals = measured - A @ x
     # Readings that scatter more than stated count less (R. T. Birge, Physical Review 40 (1932) 207).
     square = float(count @ residuals**2) / READING_STD_MM**2
@@ -526,10 +500,6 @@ class MeasuredAxis:
     points: int  #: number of points.
     rms_mm: float  #: of their distances from the fitted surface [mm].
     scale: float  #: factor on their standard deviations; above 1 where they scatter more than stated.
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return plain data."""
-        return asdict(self)
 
 
 def read_outline(path: Path) -> OutlinePoints:
