@@ -11,7 +11,7 @@ import numpy as np
 from probedesign.campaigns.campaign import Test
 from probedesign.campaigns.manifest import FILE as MANIFEST
 from probedesign.campaigns.manifest import Manifest, read_manifest
-from probedesign.campaigns.reading import IMAGES, PIXELS, calibration_exists, read_cameras, read_tests
+from probedesign.campaigns.reading import CONTROL_POINTS, IMAGES, PIXELS, read_cameras, read_tests
 from probedesign.core.errors import InputError
 from probedesign.core.files import check_overwrite, write_atomically
 from probedesign.core.units import MM
@@ -71,8 +71,8 @@ def find_all(
         lacking = "[markers] with s_mm" if manifest.markers is None else "[cameras] with names"
         raise InputError(f"{folder / MANIFEST}: has no {lacking}, which the detection of markers needs")
     taken = _photographs(folder, manifest, read_tests(folder, manifest))
-    calibrated = base_side is None or calibration_exists(folder, manifest)
-    cameras, notes = read_cameras(folder, manifest) if calibrated else ([], ())
+    calibrated = manifest.cameras.calibration or (folder / CONTROL_POINTS).exists()
+    cameras, notes = read_cameras(folder, manifest) if base_side is None or calibrated else ([], ())
     by_name = {camera.name: camera for camera in cameras}
     s, total = np.array(manifest.markers.s_mm) * MM, sum(map(len, taken))
     progress = (number / total for number in itertools.count())

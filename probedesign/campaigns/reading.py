@@ -159,7 +159,7 @@ def read_tests(folder: Path, manifest: Manifest) -> list[Test]:
     rows.check_unique([(name,) for name in names], lambda row: f"test {names[row]}")
     force, loaded = rows.all_or_none(*FORCE)
     contact, seen = rows.all_or_none(*CONTACT)
-    poses = _poses(rows, manifest)
+    moved, has_pose = rows.all_or_none(*BASE_POSITION, *BASE_ROTATION)
     s, sag = rows.numbers("s_contact", "tip_sag").T
     std_s = _std(rows, ~np.isnan(s), "s_contact", "std_s")
     std_contact = _std(rows, seen, "contact_x_world", "std_contact")
@@ -177,20 +177,15 @@ def read_tests(folder: Path, manifest: Manifest) -> list[Test]:
                          "for both")  # fmt: skip
         if loaded[i] and not force[i].any() and (not np.isnan(s[i]) or seen[i]):
             rows.fail(i, f"{names[i]}: has a contact and force 0,0,0, which is a free probe; leave the force empty")
-    gravity = np.array(manifest.gravity.world_m_s2)
+    gravity, usual = np.array(manifest.gravity.world_m_s2), base_pose(manifest)
+    poses = [pose(Rotation.from_rotvec(v[3:]).as_matrix(), v[:3]) if is_given else usual
+             for v, is_given in zip(moved, has_pose, strict=True)]  # fmt: skip
     return [
         Test(name, poses[i], gravity, force[i] if loaded[i] else None, float(s[i]), float(std_s[i]),
              contact[i] if seen[i] else None, float(std_contact[i]), directions[i], float(sag[i]), float(std_sag[i]),
              use=USES[uses[i]])
         for i, name in enumerate(names)
     ]  # fmt: skip
-
-
-def _poses(rows: TableRows, manifest: Manifest) -> list[Array]:
-    values, given = rows.all_or_none(*BASE_POSITION, *BASE_ROTATION)
-    usual = base_pose(manifest)
-    return [pose(Rotation.from_rotvec(v[3:]).as_matrix(), v[:3]) if given_row else usual
-            for v, given_row in zip(values, given, strict=True)]  # fmt: skip
 
 
 def base_pose(manifest: Manifest) -> Array:
@@ -395,12 +390,6 @@ def read_cameras(folder: Path, manifest: Manifest) -> tuple[list[Camera], tuple[
         path, table, lambda name, world, uv, labels: locate(known[name], world, uv, labels)
     )
     return cameras, (*stated.notes, *notes)
-
-
-def calibration_exists(folder: Path, manifest: Manifest) -> bool:
-    """Return whether the folder has something that its cameras are calibrated from."""
-    table = manifest.cameras
-    return table is not None and bool(table.calibration or (folder / CONTROL_POINTS).exists())
 
 
 def _by_control_points(path: Path, table: CamerasTable, fit: Fit) -> tuple[list[Camera], tuple[str, ...]]:

@@ -85,29 +85,16 @@ def control_points(
     """Return control points (n, 3) [m] with pixels (n, 2) and names, 1 ... n if None, for a calibration.
 
     Raises:
-        InputError: too few, doubled or coplanar points.
+        InputError: too few or coplanar points.
     """
     world, image = np.asarray(points_world, dtype=float), np.asarray(pixels, dtype=float)
     control = ControlPoints(camera, labels or tuple(str(i + 1) for i in range(len(world))), world, image)
     if len(world) < min_points(distortion):
         bends = f" and {distortion} of distortion" if distortion else ""
-        control.fail(
-            f"{len(world)} control points are too few for 11 parameters{bends}; "
-            f"at least {min_points(distortion)}, better 20"
-        )
-    _check_duplicates(control, world, "have the same position")
-    _check_duplicates(control, image, "have the same pixel")
+        control.fail(f"{len(world)} control points are too few for 11 parameters{bends}; at least "
+                     f"{min_points(distortion)}, better 20")  # fmt: skip
     control.check_depth(FLAT_PX)
     return control
-
-
-def _check_duplicates(control: ControlPoints, places: Array, what: str) -> None:
-    _, first, inverse = np.unique(places, axis=0, return_index=True, return_inverse=True)
-    duplicate = first[inverse] != np.arange(len(places))
-    if duplicate.any():
-        second = int(np.argmax(duplicate))
-        pair = f"{control.labels[first[inverse][second]]} and {control.labels[second]}"
-        control.fail(f"control points {pair} {what}; keep one")
 
 
 # direct linear transformation
@@ -180,8 +167,8 @@ def calibrate(
         The camera, with covariance, residuals and outliers.
 
     Raises:
-        InputError: too few points, coplanar, doubled or mirrored ones, too many outliers, or points that do not
-            determine the camera.
+        InputError: too few points, coplanar or mirrored ones, too many outliers, or points that do not determine the
+            camera.
     """
     names = None if labels is None else tuple(labels)
     control = control_points(name, points_world, pixels, names, distortion)
@@ -194,10 +181,8 @@ def calibrate(
         inside = fits
     left_out = ~inside
     if np.mean(left_out) > MAX_OUTLIER_FRACTION:
-        control.fail(
-            f"{np.sum(left_out)} of {len(inside)} control points do not fit with the others "
-            f"({control.named(left_out)}); check their order and their units"
-        )
+        control.fail(f"{np.sum(left_out)} of {len(inside)} control points do not fit with the others "
+                     f"({control.named(left_out)}); check their order and their units")  # fmt: skip
     control.subset(inside).check_depth(max(FLAT_PX, 5 * camera.std_px))
     focal = float(np.sqrt(max(camera.cov[0, 0], camera.cov[1, 1])) / min(camera.K[0, 0], camera.K[1, 1]))
     if not focal < MAX_FOCAL_STD:
@@ -261,9 +246,8 @@ def _linear(control: ControlPoints, distortion: int) -> Camera:
     P = _projections(control.points_world, control.pixels)
     rear = _depths(P, control.points_world) <= 0
     if rear.any():
-        control.fail(
-            f"control {control.named(rear)} would lie behind it; check the order of the points and their pixels"
-        )
+        control.fail(f"control {control.named(rear)} would lie behind it; check the order of the points and their "
+                     "pixels")  # fmt: skip
     K, R = rq(P[:, :3])
     signs = np.sign(np.diag(K))
     K, R, centre = K * signs, signs[:, None] * R, -np.linalg.solve(P[:, :3], P[:, 3])
@@ -321,7 +305,7 @@ def locate(camera: Camera, points_world: ArrayLike, pixels: ArrayLike, labels: S
         labels: names of the points (n,).
 
     Raises:
-        InputError: too few points, doubled or coplanar ones, or too many that do not fit.
+        InputError: too few points, coplanar ones, or too many that do not fit.
     """
     from probedesign.vision import require_opencv
 
@@ -365,10 +349,9 @@ def locate(camera: Camera, points_world: ArrayLike, pixels: ArrayLike, labels: S
             break
         inside = fits
     if np.mean(~inside) > MAX_OUTLIER_FRACTION or std_px > MAX_RESIDUAL_PX:
-        control.fail(
-            f"the control points do not fit the calibration file, residual {std_px:.2g} px, {np.sum(~inside)} of "
-            f"{len(points)} left out; check their order, their units, and that the file is of this camera"
-        )
+        control.fail(f"the control points do not fit the calibration file, residual {std_px:.2g} px, {np.sum(~inside)} "
+                     f"of {len(points)} left out; check their order, their units, and that the file is of this "
+                     "camera")  # fmt: skip
     cov = np.zeros((len(scale), len(scale)))
     J = rows(step)
     cov[np.ix_(free, free)] = np.linalg.inv(J.T @ J) * np.outer(scale[free], scale[free])

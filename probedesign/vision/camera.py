@@ -80,11 +80,6 @@ class Camera:
         number = LINEAR + len(bends)
         return cls(name, K, R, centre, bends, np.zeros((number, number)), size_px=size_px)
 
-    @property
-    def P(self) -> Array:
-        """Projection matrix of homogeneous points of the world, before distortion, (3, 4)."""
-        return self.K @ self.R_camera_world @ np.column_stack([np.eye(3), -self.p_world])
-
     def depth(self, points_world: ArrayLike) -> Array:
         """Return the distance of points (..., 3) along the optical axis [m]; negative behind the camera."""
         return np.asarray((np.asarray(points_world, dtype=float) - self.p_world) @ self.R_camera_world[2])

@@ -46,7 +46,6 @@ class Triangulated:
     #: covariance of each, by the noise in the pictures and the cameras' calibration [m²], (m, 3, 3). The calibration's
     #: share is common to all markers of these cameras.
     cov_world: Array
-    cov_noise: Array  #: by the noise alone, independent between markers [m²], (m, 3, 3).
     residual_px: Array  #: pixel minus projection [px], NaN where not seen, (c, m, 2).
     #: χ² of the residuals per degree of freedom, near one if the stated standard deviations hold, (m,).
     agreement: Array
@@ -95,14 +94,11 @@ def _located(seen: MarkerObservations) -> Triangulated:
     residual, by_point = _linearised(seen, points)
     weighted = np.swapaxes(by_point, 1, 2) @ weights
     cov = np.linalg.inv(weighted @ by_point)
-    gain = cov @ weighted
-    noise = np.repeat(np.where(seen.mask, seen.std_px, 0.0).T ** 2, 2, axis=1)
-    cov_noise = np.einsum("mia,ma,mja->mij", gain, noise, gain)
     square = np.einsum("ma,mab,mb->m", residual, weights, residual)
     agreement = square / (2 * seen.mask.sum(axis=0) - 3)
     by_camera = np.moveaxis(residual.reshape(len(points), len(seen.cameras), 2), 1, 0)
     residual_px = np.where(seen.mask[..., None], by_camera, np.nan)
-    return Triangulated(points, np.asarray(cov), np.asarray(cov_noise), residual_px, agreement)
+    return Triangulated(points, np.asarray(cov), residual_px, agreement)
 
 
 def _weights(seen: MarkerObservations, points: Array) -> Array:
@@ -165,13 +161,13 @@ def observations(
 def _check_agreement(seen: MarkerObservations, located: Triangulated) -> None:
     """Refuse pixels that are not of one point, or of one behind a camera.
 
-    The error names the likely mistake, a hypothesis in which all pixels agree: swapped cameras, a camera's markers
-    numbered from the other end, two exchanged markers; or else the marker with the largest residual.
+    The error names the likely mistake, a hypothesis in which all pixels agree: swapped cameras, or a camera's markers
+    numbered from the other end; else the marker with the largest residual.
     """
     wrong = _wrong(seen, located)
     if not wrong.any():
         return
-    for mistake, corrected in _outlier_hypotheses(seen, wrong):
+    for mistake, corrected in _outlier_hypotheses(seen):
         if not _wrong(corrected, _located(corrected)).any():
             raise InputError(f"{mistake}: the pictures agree with this corrected, but not as given")
     worst = int(np.argmax(np.where(wrong, np.nan_to_num(_max_residual(located), nan=np.inf), -1.0)))
@@ -197,7 +193,7 @@ def _max_residual(located: Triangulated) -> Array:
     return np.asarray(np.nanmax(np.linalg.norm(located.residual_px, axis=2), axis=0))
 
 
-def _outlier_hypotheses(seen: MarkerObservations, wrong: NDArray[np.bool_]) -> Iterator[tuple[str, MarkerObservations]]:
+def _outlier_hypotheses(seen: MarkerObservations) -> Iterator[tuple[str, MarkerObservations]]:
     """Yield likely mistakes and the observations with each of them corrected."""
     names = [camera.name for camera in seen.cameras]
     for i, j in combinations(range(len(names)), 2):
@@ -211,11 +207,3 @@ def _outlier_hypotheses(seen: MarkerObservations, wrong: NDArray[np.bool_]) -> I
         pixels = seen.pixels.copy()
         pixels[i, seen.mask[i]] = pixels[i, seen.mask[i]][::-1]
         yield f"camera {name} numbers the markers from the other end", replace(seen, pixels=pixels)
-    if 2 <= wrong.sum() <= 3:
-        for a, b in combinations(np.flatnonzero(wrong), 2):
-            for i, name in enumerate(suspects):
-                pixels = seen.pixels.copy()
-                pixels[i, [a, b]] = pixels[i, [b, a]]
-                pair = f"{seen.labels[a]} and {seen.labels[b]}"
-                if np.isfinite(pixels[i, [a, b]]).all():
-                    yield f"markers {pair} are exchanged in camera {name}", replace(seen, pixels=pixels)

@@ -230,11 +230,11 @@ def test_control_points_place_the_camera_of_a_file(tmp_path):
         placed = locate(one, box, true.project(box), labels)
         assert placed.p_world == pytest.approx(true.p_world, abs=1e-6)
         square = []
-        for _ in range(40):
+        for _ in range(15):
             placed = locate(one, box, true.project(box) + 0.5 * rng.normal(size=(20, 2)), labels)
             off = placed.p_world - true.p_world
             square.append(off @ np.linalg.solve(placed.cov[8:11, 8:11], off))
-        assert np.mean(square) < 5.0  # 3 is expected
+        assert np.mean(square) < 5.0  # 3 is expected, ± 0.63
         pixels = true.project(box) + 0.5 * rng.normal(size=(20, 2))
         pixels[7] += (30.0, 0.0)
         assert locate(one, box, pixels, labels).outliers == ("7",)
