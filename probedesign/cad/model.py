@@ -100,9 +100,9 @@ def build_parts(
         CadPart("flange_adapter", flange_adapter_solid(plate), plate.T_sensor_robotflange, "robotflange", rigid, grey),
     ]
     loose = [
-        CadPart(group.name, group.solid, IN_SENSOR_FRAME, "sensor", STEEL_DENSITY, steel, printed=False,
-                standard=group.standard, places=group.poses)
-        for group in fasteners(adapter, plate, screws)
+        CadPart(name, solid, IN_SENSOR_FRAME, "sensor", STEEL_DENSITY, steel, printed=False, standard=standard,
+                places=poses)
+        for name, standard, solid, poses in fasteners(adapter, plate, screws)
     ]  # fmt: skip
     envelope = CadPart("sensor", sensor_envelope(sensor), IN_SENSOR_FRAME, "sensor", 0.0, (0.6, 0.6, 0.65), False)
     return {part.name: part for part in [*printed, *loose, envelope]}

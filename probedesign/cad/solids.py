@@ -124,18 +124,11 @@ def screw_groups(a: SensorAdapter, plate: FlangeAdapter) -> list[ScrewGroup]:
     return uses
 
 
-@dataclass(frozen=True)
-class Fasteners:
-    """A group of equal screws, nuts or pins."""
-
-    name: str  #: of the group.
-    standard: str  #: of a piece, such as ISO 4762 M2x6.
-    solid: cq.Solid  #: of a piece, in millimetres in its own frame; groups of one standard share it.
-    poses: tuple[Array, ...]  #: of each piece in the sensor frame.
-
-
-def fasteners(a: SensorAdapter, plate: FlangeAdapter, screws: list[ScrewGroup]) -> list[Fasteners]:
-    """Return all screws, nuts and pins of the assembly."""
+def fasteners(
+    a: SensorAdapter, plate: FlangeAdapter, screws: list[ScrewGroup]
+) -> list[tuple[str, str, cq.Solid, tuple[Array, ...]]]:
+    """Return all screws, nuts and pins of the assembly: of each group of equal ones the name, the standard such as
+    ISO 4762 M2x6, the solid of a piece, which groups of one standard share, and the poses in the sensor frame."""
     d, length, nut = a.dowels.diameter, a.dowels.pin_length, a.options.nut
 
     def drawn_nut() -> cq.Solid:
@@ -160,7 +153,7 @@ def fasteners(a: SensorAdapter, plate: FlangeAdapter, screws: list[ScrewGroup]) 
     for _, standard, draw, poses in groups:
         if poses and standard not in solids:
             solids[standard] = draw()
-    return [Fasteners(name, standard, solids[standard], poses) for name, standard, _, poses in groups if poses]
+    return [(name, standard, solids[standard], poses) for name, standard, _, poses in groups if poses]
 
 
 def _screw(screw: SocketScrew, length: float) -> cq.Solid:

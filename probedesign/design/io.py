@@ -75,22 +75,6 @@ def default_tip_d_mm(base_d_mm: float) -> float:
     return min(base_d_mm, round(max(base_d_mm / TIP_RATIO, MIN_TIP_D_MM), 1))
 
 
-def default_name(
-    shape: str,
-    length_mm: float,
-    base_d_mm: float,
-    tip_d_mm: float | None,
-    section: str = "round",
-    ratio: float | None = None,
-) -> str:
-    """Return a name that contains the parameters [mm], such as `cone-150x12x2` or `cylinder-80x6-hollow-0.5`."""
-    sizes = (length_mm, base_d_mm) if tip_d_mm is None else (length_mm, base_d_mm, tip_d_mm)
-    name = f"{shape}-{'x'.join(f'{size:g}' for size in sizes)}"
-    if section != "round":
-        name += f"-{section}" + ("" if ratio is None else f"-{ratio:g}")
-    return name.replace("+", "")
-
-
 def sensor_keys(choice: str) -> dict[str, str]:
     """Return `[sensor]` for the name of a sensor, with its finest calibration, or for the name of a calibration.
 
@@ -166,7 +150,8 @@ def new(
     """Return a new design from a few dimensions, as `probedesign new` writes it, with defaults for everything else.
 
     Args:
-        name: of the design; None for one that contains the parameters.
+        name: of the design; None for one that contains the parameters [mm], such as `cone-150x12x2` or
+            `cylinder-80x6-hollow-0.5`.
         length_mm, base_d_mm, tip, shape, section, bore_ratio, flatness: as in `[probe]`.
         tip_d_mm: None for `default_tip_d_mm`, unless it is a cylinder.
         resin, robot_flange: names of the catalog.
@@ -187,12 +172,13 @@ def new(
     probe = {"shape": shape, "length_mm": length_mm, "base_d_mm": base_d_mm, "tip_d_mm": tip_d_mm, "tip": tip,
              "section": section, "bore_ratio": bore_ratio, "flatness": flatness, "axis": axis, **bends}  # fmt: skip
     if name is None:
-        ratio = flatness if bore_ratio is None else bore_ratio
-        name = default_name(shape, length_mm, base_d_mm, tip_d_mm, section, ratio)
-        name += "" if tip == "blunt" else f"-{tip}"
-        if axis != "straight":
-            sizes = (bends.get(key) for key, of in AXIS_KEYS.items() if of.needed)
-            name += "-".join(["", axis, *(f"{size:g}" for size in sizes if isinstance(size, int | float))])
+        ratio, sizes = flatness if bore_ratio is None else bore_ratio, (length_mm, base_d_mm, tip_d_mm)
+        bent = (bends.get(key) for key, of in AXIS_KEYS.items() if of.needed)
+        words = [shape, "x".join(f"{size:g}" for size in sizes if size is not None)]
+        words += [] if section == "round" else [section, *([] if ratio is None else [f"{ratio:g}"])]
+        words += [] if tip == "blunt" else [tip]
+        words += [] if axis == "straight" else [axis, *(f"{size:g}" for size in bent if size is not None)]
+        name = "-".join(words).replace("+", "")
     return check_design({
         "schema": 1,
         "name": name,
@@ -241,7 +227,7 @@ def render_design(design: Design, notes: Mapping[str, str] | None = None) -> str
     comments = COMMENTS | dict(notes or {})
     about = comments.get("", "").splitlines()
     lines = [HEADER + ("#\n" if about else "") + "".join(f"# {line}\n" for line in about)]
-    for table, values in _tables(design):
+    for table, values in _tables("", design.model_dump(by_alias=True)):
         lines += [f"\n[{table}]"] if table else []
         for key, value in values.items():
             lines.append(_commented(f"{key} = {_toml(value)}", comments.get(f"{table}.{key}")))
@@ -252,39 +238,21 @@ def render_design(design: Design, notes: Mapping[str, str] | None = None) -> str
     return "\n".join(lines) + "\n"
 
 
-def _tables(design: Design) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Yield the tables of the design file in order, without the keys that the design does not set."""
-    document = design.model_dump(by_alias=True)
-    top = {key: value for key, value in document.items() if not isinstance(value, dict)}
-    yield "", {key: value for key, value in top.items() if value is not None}
-    for table, values in document.items():
-        if table in top:
-            continue
-        provenance, flange = values.pop("provenance", {}), values.pop("flange", None) or {}
-        described = values.pop("own", None) or {}
-        given = {key: value for key, value in values.items() if value is not None and value != ()}
-        yield table, given
-        known = {key: value for key, value in provenance.items() if key in given or value != "assumed"}
-        if known:
-            yield f"{table}.provenance", known
-        if flange:
-            yield f"{table}.flange", {key: value for key, value in flange.items() if value is not None}
-        if described:
-            yield from _nested(f"{table}.own", described)
-
-
-def _nested(table: str, values: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Yield a table and those in it, without empty values; the name of an item of a list is in brackets of its own."""
-    inner = {key: value for key, value in values.items() if isinstance(value, dict)}
-    lists = {
-        key: value for key, value in values.items() if isinstance(value, tuple) and value and isinstance(value[0], dict)
-    }
-    yield (table, {k: v for k, v in values.items() if k not in inner and k not in lists and v is not None and v != ()})
+def _tables(name: str, values: Mapping[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Yield a table and those in it in order, without the keys that are not set and without provenances that are those
+    of a missing number; the name of an item of a list is in brackets of its own."""
+    given = {key: value for key, value in values.items() if value is not None and value != ()}
+    inner = {key: value for key, value in given.items() if isinstance(value, dict)}
+    lists = {key: value for key, value in given.items() if isinstance(value, tuple) and isinstance(value[0], dict)}
+    own = {key: value for key, value in given.items() if key not in inner and key not in lists}
+    yield name, own
     for key, value in inner.items():
-        yield from _nested(f"{table}.{key}", value)
+        if key == "provenance":
+            value = {k: v for k, v in value.items() if k in own or v != "assumed"}
+        if value or key != "provenance":
+            yield from _tables(f"{name}.{key}".lstrip("."), value)
     for key, items in lists.items():
-        for item in items:
-            yield f"[{table}.{key}]", {k: v for k, v in item.items() if v is not None}
+        yield from ((f"[{name}.{key}]", table) for item in items for _, table in _tables("", item))
 
 
 def _commented(line: str, comment: str | None) -> str:

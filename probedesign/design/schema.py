@@ -6,7 +6,7 @@ returns the quantities in SI units with their provenance.
 
 import datetime
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import fields, replace
 from itertools import pairwise
 from typing import Annotated, Literal, NamedTuple, Self, get_args
@@ -62,31 +62,32 @@ Flatness = Annotated[float, Field(ge=0.2, le=1.0)]
 SCALE_RANGE = (0.9, 1.1)
 Scale = Annotated[float, Field(ge=SCALE_RANGE[0], le=SCALE_RANGE[1])]
 
-#: Section to which a key belongs, and the message when the key is missing, by key.
-SECTION_KEYS = {
-    "bore_ratio": ("hollow", "a hollow section needs its inner over its outer diameter"),
-    "flatness": ("elliptic", "an elliptic section needs its diameter along y over that along x"),
-}
 
+class KindKey(NamedTuple):
+    """A key of `[probe]` for some kinds of section or axis only.
 
-class AxisKey(NamedTuple):
-    """A key of `[probe]` for a curved axis. A kind of axis is a case of `ProbeTable.designed_axis` and its keys."""
+    A kind of axis is a case of `ProbeTable.designed_axis` and its keys.
+    """
 
-    kinds: tuple[AxisKind, ...]  #: of axis to which it belongs.
+    kinds: tuple[str, ...]  #: of section or axis to which it belongs.
     needed: str  #: message when it is missing; empty where it may be.
-    comment: str  #: beside it in a design file.
+    comment: str = ""  #: beside it in a design file.
     slider: tuple[str, float, float, float] | None = None  #: label, lowest, highest and step in the studio.
     start: float | None = None  #: value where the kind of axis is chosen in the studio.
 
 
+SECTION_KEYS = {
+    "bore_ratio": KindKey(("hollow",), "a hollow section needs its inner over its outer diameter"),
+    "flatness": KindKey(("elliptic",), "an elliptic section needs its diameter along y over that along x"),
+}
 AXIS_KEYS = {
-    "axis_bend_deg": AxisKey(("arc", "helix"), "a curved axis needs its total bending angle",
+    "axis_bend_deg": KindKey(("arc", "helix"), "a curved axis needs its total bending angle",
                              "total bending angle, curvature times length", ("bend [deg]", 0.0, 180.0, 1.0), 60.0),
-    "axis_turns": AxisKey(("helix",), "a helix needs the turns of its plane of bending",
+    "axis_turns": KindKey(("helix",), "a helix needs the turns of its plane of bending",
                           "of the plane of bending, from base to tip", ("turns of the bend", -1.5, 1.5, 0.05), 0.5),
-    "axis_azimuth_deg": AxisKey(("arc", "helix"), "", "of the plane of bending at the base, from x towards y",
+    "axis_azimuth_deg": KindKey(("arc", "helix"), "", "of the plane of bending at the base, from x towards y",
                                 ("azimuth of the bend [deg]", -180.0, 180.0, 1.0), 0.0),
-    "axis_knots_mm_1_m": AxisKey(("knots",), "the axis needs triples [s, curvature towards X, towards Y]",
+    "axis_knots_mm_1_m": KindKey(("knots",), "the axis needs triples [s, curvature towards X, towards Y]",
                                  "s [mm], curvature towards X and Y [1/m]"),
 }  # fmt: skip
 
@@ -136,27 +137,29 @@ class ProbeTable(Table):
                 "tip_d_mm",
                 f"= {self.tip_d_mm!r} is wider than base_d_mm = {self.base_d_mm!r}; a {self.shape} tapers to its tip",
             )
-        self._check_section()
+        self._check_keys("section", SECTION_KEYS)
         self._check_tip()
         self._check_fillet()
         if self.bow_mm is not None and not math.hypot(*self.bow_mm) < self.length_mm:
             raise Inconsistent(
                 "bow_mm", f"= {list(self.bow_mm)} must be smaller than the length of the probe, {self.length_mm:g} mm"
             )
-        self._check_axis()
+        self._check_keys("axis", AXIS_KEYS)
+        if self.axis != "straight":
+            self._check_axis()
         return self
 
-    def _check_axis(self) -> None:
-        for key, of in AXIS_KEYS.items():
+    def _check_keys(self, choice: str, keys: Mapping[str, KindKey]) -> None:
+        kind = getattr(self, choice)
+        for key, of in keys.items():
             given = getattr(self, key) is not None
-            if given and self.axis not in of.kinds:
-                raise Inconsistent(
-                    key, f"is only for axis = {' or '.join(map(repr, of.kinds))}; remove it or change the axis"
-                )
-            if not given and of.needed and self.axis in of.kinds:
+            if given and kind not in of.kinds:
+                allowed = " or ".join(f'"{name}"' for name in of.kinds)
+                raise Inconsistent(key, f"is only for {choice} = {allowed}; remove it or change the {choice}")
+            if not given and of.needed and kind in of.kinds:
                 raise Inconsistent(key, f"is missing; {of.needed}")
-        if self.axis == "straight":
-            return
+
+    def _check_axis(self) -> None:
         if self.axis_knots_mm_1_m is not None:
             self._check_axis_knots(self.axis_knots_mm_1_m)
         s, d = MM * np.array(self.knots_mm).T
@@ -225,14 +228,6 @@ class ProbeTable(Table):
         ):
             if value != wanted:
                 raise Inconsistent("profile_mm", f"{what} is {value!r}, it must equal {key} = {wanted!r}")
-
-    def _check_section(self) -> None:
-        for key, (section, needed) in SECTION_KEYS.items():
-            given = getattr(self, key) is not None
-            if given and self.section != section:
-                raise Inconsistent(key, f'is only for section = "{section}"; remove it or change the section')
-            if not given and self.section == section:
-                raise Inconsistent(key, f"is missing; {needed}")
 
     def _check_tip(self) -> None:
         if self.tip == "blunt":
@@ -369,11 +364,13 @@ class PrinterRecord(Table):
                        PrintLimits(**given, source=f"{self.source}{left}"))  # fmt: skip
 
 
-def _check_own(table: "MaterialTable | PrintTable", key: str) -> None:
-    if (table.own is not None) != (getattr(table, key) == CUSTOM):
-        missing = f"is missing beside {key} = {CUSTOM!r}; describe it there, or name its file: file = ..."
-        unused = f"is only for {key} = {CUSTOM!r}; remove it or change {key}"
-        raise Inconsistent("own", missing if table.own is None else unused)
+def _check_own(table: Table, choice: str, own: str = "own", how: str = ", or name its file: file = ...") -> None:
+    """Refuse a description in the design file without, or beside another than, the name `CUSTOM` of a choice."""
+    described = getattr(table, own)
+    if (described is not None) != (getattr(table, choice) == CUSTOM):
+        missing = f"is missing beside {choice} = {CUSTOM!r}; describe it there{how}"
+        unused = f"is only for {choice} = {CUSTOM!r}; remove it or change {choice}"
+        raise Inconsistent(own, missing if described is None else unused)
 
 
 class MaterialTable(Table):
@@ -412,10 +409,7 @@ class SensorTable(Table):
 
     @model_validator(mode="after")
     def _described(self) -> Self:
-        if (self.own is not None) != (self.model == CUSTOM):
-            missing = f"is missing beside model = {CUSTOM!r}; describe the sensor there, or name its file: file = ..."
-            unused = f"is only for model = {CUSTOM!r}; remove it or change model"
-            raise Inconsistent("own", missing if self.own is None else unused)
+        _check_own(self, "model")
         return self
 
 
@@ -477,10 +471,7 @@ class MountTable(Table):
         if math.hypot(*self.gravity_base_m_s2) > MAX_GRAVITY:
             given = f"= {list(self.gravity_base_m_s2)} is longer than {MAX_GRAVITY:g} m/s²"
             raise Inconsistent("gravity_base_m_s2", f"{given}; give it in m/s², e.g. [9.81, 0.0, 0.0]")
-        if (self.flange is not None) != (self.robot_flange == CUSTOM):
-            missing = f"is missing beside robot_flange = {CUSTOM!r}"
-            unused = f"is only for robot_flange = {CUSTOM!r}; remove it or change robot_flange"
-            raise Inconsistent("flange", missing if self.flange is None else unused)
+        _check_own(self, "robot_flange", "flange", "")
         return self
 
 

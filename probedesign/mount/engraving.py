@@ -166,16 +166,15 @@ def engrave(fingerprint: str, name: str, radius: float, top: float, arcs: Sequen
     return Engraving(fits, radius, tuple(azimuths[: len(fits)]), top)
 
 
-def free_arcs(radius: float, azimuths: Sequence[float], clearance: float | Sequence[float]) -> list[Arc]:
-    """Return the arcs of a circle clockwise from each azimuth [rad] to the next, `clearance` [m] away from both.
+def free_arcs(radius: float, azimuths: Sequence[float], clearances: Sequence[float]) -> list[Arc]:
+    """Return the arcs of a circle clockwise from each azimuth [rad] to the next, clear of the obstacles at both ends.
 
     Args:
         radius: of the circle [m].
         azimuths: of the obstacles [rad].
-        clearance: from each obstacle, or one for all [m].
+        clearances: from each obstacle [m].
     """
-    clearances = np.broadcast_to(np.asarray(clearance, dtype=float), len(azimuths))
-    margins = 2.0 * np.arcsin(clearances / 2.0 / radius)
+    margins = 2.0 * np.arcsin(np.asarray(clearances) / 2.0 / radius)
     around = sorted(((a % (2 * np.pi), float(m)) for a, m in zip(azimuths, margins, strict=True)), reverse=True)
     ahead = [*around[1:], (around[0][0] - 2 * np.pi, around[0][1])]
     return [(a - m, b + n) for (a, m), (b, n) in zip(around, ahead, strict=True)]

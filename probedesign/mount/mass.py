@@ -10,7 +10,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from probedesign.core.frames import pose, rotation_z
+from probedesign.core.frames import Array, pose, rotation_z
 from probedesign.design.catalog import RIGID_DENSITY, STEEL_DENSITY, SocketScrew
 from probedesign.geometry import ProbeGeometry
 from probedesign.geometry.mass import NOTHING, MassProperties, combined, flange_part, frustum
@@ -139,11 +139,15 @@ def _ring_vent(a: SensorAdapter, density: float) -> MassProperties:
     length, first, second = ((x1**n - x0**n) / n for n in (1, 2, 3))
     mass = float((w * length).sum())
     p = np.array([(w * first).sum(), 0.0, (w * z * length).sum()]) / mass
-    xx, yy, zz = (w * second).sum(), (w * y * y * length).sum(), (w * z * z * length).sum()
-    xz = (w * z * first).sum()
-    about_origin = np.array([[yy + zz, 0.0, -xz], [0.0, xx + zz, 0.0], [-xz, 0.0, xx + yy]])
-    central = about_origin - mass * (p @ p * np.eye(3) - np.outer(p, p))
-    return MassProperties(mass / density, mass, p, central)
+    second_moments = np.diag([(w * second).sum(), (w * y * y * length).sum(), (w * z * z * length).sum()])
+    second_moments[0, 2] = second_moments[2, 0] = (w * z * first).sum()
+    return _of_moments(mass, p, second_moments, density)
+
+
+def _of_moments(mass: float, p_com: Array, second: Array, density: float) -> MassProperties:
+    """Return a body of which ∫ r rᵀ dm is known about the origin, (3, 3) [kg·m²]."""
+    central = second - mass * np.outer(p_com, p_com)
+    return MassProperties(mass / density, mass, p_com, np.trace(central) * np.eye(3) - central)
 
 
 def _fasteners(a: SensorAdapter, density: float) -> list[MassProperties]:
@@ -199,9 +203,8 @@ def _curved_bar(p: XY, size: XY, radius: float, density: float) -> MassPropertie
     height, first, second = ((top**n - (-DEPTH) ** n) / n for n in (1, 2, 3))
     mass, x_first, z_first = float(w @ height), float(w @ (x * height)), float(w @ first)
     xx, yy, zz, xz = w @ (x * x * height), mass * (y * y + b * b / 12.0), w @ second, w @ (x * first)
-    xy, yz, com = y * x_first, y * z_first, np.array([x_first / mass, y, z_first / mass])
-    about_origin = np.array([[yy + zz, -xy, -xz], [-xy, xx + zz, -yz], [-xz, -yz, xx + yy]])
-    return MassProperties(mass / density, mass, com, about_origin - mass * (com @ com * np.eye(3) - np.outer(com, com)))
+    second_moments = np.array([[xx, y * x_first, xz], [y * x_first, yy, y * z_first], [xz, y * z_first, zz]])
+    return _of_moments(mass, np.array([x_first / mass, y, z_first / mass]), second_moments, density)
 
 
 def subtract(body: MassProperties, voids: Iterable[MassProperties]) -> MassProperties:

@@ -75,12 +75,7 @@ class Stack:
     what: str  #: in words.
     items: tuple[StackItem, ...]  #: the dimensions.
     limits: tuple[float, float]  #: least and greatest allowed sum.
-    keys: str  #: of the design or the sensor that change it.
-
-    @property
-    def remedy(self) -> str:
-        """Return what to change where the worst case lies outside of the limits, by the keys of design or sensor."""
-        return f"change {self.keys}"
+    remedy: str  #: what to change where the worst case lies outside of them: keys of the design or the sensor.
 
     @property
     def nominal(self) -> float:
@@ -123,15 +118,11 @@ class Stack:
             "limits_mm": [_mm(x) for x in self.limits],
             "ok": self.ok,
             "items": [
-                {
-                    "name": item.name,
-                    "value_mm": _mm(item.value),
-                    "tolerance_mm": [_mm(-item.below), _mm(item.above)],
-                    "source": item.source,
-                }
+                {"name": item.name, "value_mm": _mm(item.value), "tolerance_mm": [_mm(-item.below), _mm(item.above)],
+                 "source": item.source}
                 for item in self.items
             ],
-        }
+        }  # fmt: skip
 
 
 def _printed(name: str, value: float) -> StackItem:
@@ -257,7 +248,7 @@ def tolerance_stacks(a: SensorAdapter, plate: FlangeAdapter) -> list[Stack]:
             (0.0, max(MAX_CENTRING_PLAY[0], MAX_CENTRING_PLAY[1] * robot.spigot[0])),
             "mount.flange.spigot_mm or mount.flange.recess_d_mm",
         ))  # fmt: skip
-    return [Stack(*row) for row in rows]
+    return [Stack(*row, f"change {keys}") for *row, keys in rows]
 
 
 @dataclass(frozen=True)
@@ -271,12 +262,8 @@ class Measurement:
 
     def as_record(self) -> dict[str, Any]:
         """Return the record of the manifest, in millimetres."""
-        return {
-            "what": self.what,
-            "nominal_mm": _mm(self.nominal),
-            "accept_mm": [_mm(x) for x in self.accept],
-            "otherwise": self.otherwise,
-        }
+        accept = [_mm(x) for x in self.accept]
+        return {"what": self.what, "nominal_mm": _mm(self.nominal), "accept_mm": accept, "otherwise": self.otherwise}
 
 
 def measurements(a: SensorAdapter, plate: FlangeAdapter) -> list[Measurement]:

@@ -82,29 +82,25 @@ class Rule:
         """Return a warning below `good` and an error below `bad`; without `bad` an error below `good`."""
         worst = good if bad is None else bad
         room = ROUNDING * max(abs(good), abs(worst))
-        severity: Severity = "ok" if measured >= good - room else "warning"
         if measured < worst - room:
-            return self._finding(part, what, measured, worst, "at least", "error", remedy)
-        return self._finding(part, what, measured, good, "at least", severity, remedy)
+            return self.finding(part, what, "error", remedy, measured, worst, "at least")
+        return self.finding(
+            part, what, "ok" if measured >= good - room else "warning", remedy, measured, good, "at least"
+        )
 
-    def at_most(self, part: str, what: str, measured: float, bad: float, remedy: str = "") -> Finding:
-        """Return an error above `bad`."""
-        severity: Severity = "error" if measured > bad + ROUNDING * abs(bad) else "ok"
-        return self._finding(part, what, measured, bad, "at most", severity, remedy)
+    def at_most(
+        self, part: str, what: str, measured: float, most: float, remedy: str = "", beyond: Severity = "error"
+    ) -> Finding:
+        """Return a finding of severity `beyond` above `most`."""
+        return self.finding(
+            part, what, beyond if measured > most + ROUNDING * abs(most) else "ok", remedy, measured, most
+        )
 
-    def warn_above(self, part: str, what: str, measured: float, good: float, remedy: str = "") -> Finding:
-        """Return a warning above `good`."""
-        severity: Severity = "warning" if measured > good + ROUNDING * abs(good) else "ok"
-        return self._finding(part, what, measured, good, "at most", severity, remedy)
-
-    def impossible(self, part: str, what: str) -> Finding:
-        """Return an error without a number; `what` is the whole message."""
-        return self._finding(part, what, None, None, "at most", "error", "")
-
-    def _finding(
-        self, part: str, what: str, measured: float | None, limit: float | None, bound: Bound, severity: Severity,
-        remedy: str,
+    def finding(
+        self, part: str, what: str, severity: Severity, remedy: str = "", measured: float | None = None,
+        limit: float | None = None, bound: Bound = "at most",
     ) -> Finding:  # fmt: skip
+        """Return a finding; without a number `what` is the whole message."""
         remedy = "" if severity == "ok" else remedy
         return Finding(
             self.name, part, severity, what, measured, limit, bound, self.unit, remedy, self.source, self.confidence
@@ -307,7 +303,8 @@ def mount_findings(a: SensorAdapter, plate: FlangeAdapter, limits: PrintLimits) 
     }  # fmt: skip
     nearest = min(math.dist((a.peg_x, 0.0), p) for p in a.p_tool_screws)
     findings = [
-        LAYER.warn_above("mount", "half a layer", limits.layer_mm / 2, PRINT_TOLERANCE / MM, "print thinner layers"),
+        LAYER.at_most("mount", "half a layer", limits.layer_mm / 2, PRINT_TOLERANCE / MM, "print thinner layers",
+                      "warning"),
         ENGRAVING.at_least("mount", "strokes of the engraving, width and depth", min(CELL, DEPTH) / MM,
                            limits.engraving_mm, 0.0, "mark each part by hand as well"),
         SLENDERNESS.at_least("sensor_adapter", "clocking peg, diameter over height",
@@ -315,8 +312,8 @@ def mount_findings(a: SensorAdapter, plate: FlangeAdapter, limits: PrintLimits) 
         ISLAND.at_least("sensor_adapter", "clocking peg, beside the room of a screw's head",
                         (nearest - PEG_D / 2 - a.tool.screw.counterbore_d / 2) / MM, 0.0,
                         remedy="change mount.flange_lip_mm"),
-        LAYER_OVERHANG.warn_above("sensor_adapter", "roof of a nut's slot beside the screw's hole",
-                                  a.roof_overhang / MM, MAX_OVERHANG / MM, "take M2 screws"),
+        LAYER_OVERHANG.at_most("sensor_adapter", "roof of a nut's slot beside the screw's hole",
+                                  a.roof_overhang / MM, MAX_OVERHANG / MM, "take M2 screws", "warning"),
     ]  # fmt: skip
     # Voids whose width follows from sensor and robot: a roof, and those that the platform closes.
     (r0, r1), (v0, v1), _ = plate.cable_pocket
@@ -329,8 +326,8 @@ def mount_findings(a: SensorAdapter, plate: FlangeAdapter, limits: PrintLimits) 
         ("flange_adapter", "roof of the cable's pocket", pocket,
          {heads: screw.counterbore_d, "pin slot": min(robot.pin_slot), "cable's pocket": 0.0 if cut else pocket}),
     ):  # fmt: skip
-        findings.append(BRIDGE.warn_above(part, roof, span / MM, MAX_BRIDGE, "supports must carry it"))
-        findings += [CUP.warn_above(part, f"{what}, cups on the platform", d / MM, MAX_CUP_D, "drill a vent")
+        findings.append(BRIDGE.at_most(part, roof, span / MM, MAX_BRIDGE, "supports must carry it", "warning"))
+        findings += [CUP.at_most(part, f"{what}, cups on the platform", d / MM, MAX_CUP_D, "drill a vent", "warning")
                      for what, d in cups.items() if d > 0.0]  # fmt: skip
     for part, (walls, holes) in parts.items():
         for what, thickness, limit in walls:
@@ -352,9 +349,9 @@ def clamp_findings(a: SensorAdapter, plate: FlangeAdapter, modulus: float) -> li
     what = f"preload of the ring's {clamp.screws} screws at {clamp.torque:g} N·m, to compress the flange's lip"
     return [
         CLAMP.at_least("mount", what, clamp.preload, clamp.range[1], clamp.nominal, remedy),
-        RING_BENDING.warn_above("clamp_ring", "bending under the force of the lip, instead of compressing it",
+        RING_BENDING.at_most("clamp_ring", "bending under the force of the lip, instead of compressing it",
                                 sum(clamp.bending) / 2 / MM, MAX_BENDING_SHARE * clamp.squeeze / MM,
-                                f"{more}increase mount.flange_thickness_mm, or reduce probe.base_d_mm"),
+                                f"{more}increase mount.flange_thickness_mm, or reduce probe.base_d_mm", "warning"),
     ]  # fmt: skip
 
 
@@ -534,7 +531,7 @@ def check_print(design: Design) -> PrintCheck:
     try:
         a = mount.sensor_adapter
     except InputError as error:
-        findings.append(MOUNT.impossible("clamp_ring", str(error)))
+        findings.append(MOUNT.finding("clamp_ring", str(error), "error"))
     else:
         findings += [*flange_findings(a, limits), *mount_findings(a, plate, limits)]
         findings += clamp_findings(a, plate, modulus)

@@ -2,6 +2,9 @@
 
 import fcntl
 import json
+import os
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -38,16 +41,56 @@ def with_probe(large: Any, design: Design) -> Any:
                    parts={**large.parts, "probe": probe}, fingerprints=mount.fingerprints)  # fmt: skip
 
 
+OTHERS = {
+    "hollow": LARGE + '\nsection = "hollow"\nbore_ratio = 0.5',
+    "elliptic": LARGE + '\nsection = "elliptic"\nflatness = 0.6',
+}
+
+
+def files_of(large: Any, probe: str) -> dict[str, bytes]:
+    """The files of the probe of another section, by their ending."""
+    import cadquery as cq
+
+    from probedesign.cad.exchange import step_bytes
+    from probedesign.cad.inspection import probe_sheet
+    from probedesign.cad.mesh import part_stl, tessellate
+
+    model = with_probe(large, design_of(probe))
+    part = model.parts["probe"]
+    step = step_bytes(cq.Assembly(part.shape, name="probe"), "probe.step", "", None)
+    stl = part_stl(model.design, "probe", tessellate(part.shape), "0")
+    return {"stl": stl, "step": step, "svg": bytes(probe_sheet(model, part))}
+
+
+def write_exports(folder: str) -> None:
+    """Export the large probe into exports/large of a folder, and write the files of other sections beside exports."""
+    from probedesign.cad.export import export_parts
+    from probedesign.cad.model import build_cad
+
+    base = Path(folder)
+    manifest = export_parts(design_of(), base / "exports/large", lambda step: print(step, file=sys.stderr))
+    for name, probe in OTHERS.items():
+        for kind, content in files_of(build_cad(design_of()), probe).items():
+            (base / f"{name}.{kind}").write_bytes(content)
+    write_atomically(base / "large.json", json.dumps(manifest).encode())
+
+
 @pytest.fixture(scope="session")
 def exported(tmp_path_factory: pytest.TempPathFactory, worker_id: str) -> tuple[Path, dict[str, Any]]:
-    """The same probe, exported: its folder and the manifest as returned. One worker makes it for all."""
-    from probedesign.cad import export_parts
+    """The same probe, exported by a process with its own seed of Python's hashes, once for all workers.
 
+    Returns its folder and the manifest as returned. Nothing is printed on stdout, which is reserved for `--json`: the
+    kernel would print there.
+    """
     base = tmp_path_factory.getbasetemp()
     base = base if worker_id == "master" else base.parent
-    folder, returned = base / "exports" / "large", base / "large.json"
     with (base / "large.lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
-        if not returned.exists():
-            write_atomically(returned, json.dumps(export_parts(design_of(), folder)).encode())
-    return folder, json.loads(returned.read_text("utf-8"))
+        if not (base / "large.json").exists():
+            code = "import sys; from tests.cad.conftest import write_exports; write_exports(sys.argv[1])"
+            made = subprocess.run(
+                [sys.executable, "-c", code, str(base)], env={**os.environ, "PYTHONHASHSEED": "12345"},
+                cwd=Path(__file__).parents[2], check=True, capture_output=True, text=True,
+            )  # fmt: skip
+            assert made.stdout == "" and made.stderr.splitlines().count("meshing") == 1
+    return base / "exports/large", json.loads((base / "large.json").read_text("utf-8"))

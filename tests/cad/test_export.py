@@ -2,9 +2,7 @@
 
 import hashlib
 import json
-import os
 import re
-import subprocess
 import sys
 from collections import Counter
 from dataclasses import replace
@@ -24,18 +22,15 @@ import trimesh
 from probedesign import cad
 from probedesign.cad import export_parts
 from probedesign.cad.exchange import reproducible, step_bytes
-from probedesign.cad.inspection import probe_sheet
 from probedesign.cad.kernel import location
-from probedesign.cad.mesh import part_stl, tessellate
 from probedesign.cad.model import CadModel
-from probedesign.cli.export import FILE_KINDS
 from probedesign.core.errors import InputError, MissingDependencyError
 from probedesign.design import Design
 from probedesign.frozen_probe import freeze
 from probedesign.geometry.mass import MassProperties, combined, flexible_part
 from probedesign.mount import Mount, build_geometry, mount_mass_properties, sensor_adapter_for
 from probedesign.probe import build_probe
-from tests.cad.conftest import LARGE, design_of, with_probe
+from tests.cad.conftest import LARGE, OTHERS, design_of, files_of, with_probe
 
 FILES = {
     "probe.stl", "sensor_adapter.stl", "clamp_ring.stl", "flange_adapter.stl",
@@ -46,10 +41,6 @@ FILES = {
 }  # fmt: skip
 
 Exported = tuple[Path, dict[str, Any]]
-
-
-def test_every_kind_of_file_has_a_stated_purpose() -> None:
-    assert {Path(name).suffix for name in FILES} == set(FILE_KINDS)
 
 
 def test_files_and_their_digests(exported: Exported) -> None:
@@ -213,64 +204,23 @@ def matrix_of(place: cq.Location) -> np.ndarray:
     return np.array([[transform.Value(i, j) for j in range(1, 5)] for i in range(1, 4)])
 
 
-OTHERS = {
-    "hollow": LARGE + '\nsection = "hollow"\nbore_ratio = 0.5',
-    "elliptic": LARGE + '\nsection = "elliptic"\nflatness = 0.6',
-}
-
-
-def files_of(probe: str, large: CadModel) -> dict[str, bytes]:
-    """The files of the probe of another section."""
-    design = design_of(probe)
-    model = with_probe(large, design)
-    part = model.parts["probe"]
-    step = step_bytes(cq.Assembly(part.shape, name="probe"), "probe.step", "", None)
-    mesh, sheet = tessellate(part.shape), bytes(probe_sheet(model, part))
-    return {"stl": part_stl(design, "probe", mesh, "0"), "step": step, "svg": sheet}
-
-
-@pytest.fixture(scope="module")
-def exported_again(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The probe exported, and files of others, by another process with another seed of Python's hashes.
-
-    Nothing else is printed on stdout, which is reserved for `--json`: the kernel would print there.
-    """
-    folder = tmp_path_factory.mktemp("again")
-    code = (
-        "import sys; from pathlib import Path; from probedesign.cad.export import export_parts;"
-        "from probedesign.cad.model import build_cad; from tests.cad import test_export;"
-        "folder, design = Path(sys.argv[1]), test_export.design_of()\n"
-        "export_parts(design, folder / 'large', lambda step: print(step, file=sys.stderr))\n"
-        "for name, probe in test_export.OTHERS.items():\n"
-        "    for kind, content in test_export.files_of(probe, build_cad(design)).items():\n"
-        "        (folder / f'{name}.{kind}').write_bytes(content)"
-    )
-    result = subprocess.run(
-        [sys.executable, "-c", code, str(folder)],
-        env={**os.environ, "PYTHONHASHSEED": "12345"}, cwd=Path(__file__).parents[2],
-        check=True, capture_output=True, text=True,
-    )  # fmt: skip
-    assert result.stdout == "" and result.stderr.splitlines().count("meshing") == 1
-    return folder
-
-
-def test_exports_are_reproducible(exported: Exported, exported_again: Path) -> None:
-    """Every file, manifest included, has the same bytes."""
-    again = exported_again / "large"
-    assert {path.name for path in again.iterdir()} == FILES
-    for path in again.iterdir():
+@pytest.mark.usefixtures("large")  # whose solids the kernel has drawn already
+def test_exports_are_reproducible(exported: Exported, tmp_path: Path) -> None:
+    """Every file, manifest included, has the same bytes in another process."""
+    export_parts(design_of(), tmp_path / "large")
+    assert {path.name for path in (tmp_path / "large").iterdir()} == FILES
+    for path in (tmp_path / "large").iterdir():
         assert path.read_bytes() == (exported[0] / path.name).read_bytes(), path.name
 
 
 @pytest.mark.parametrize("section", OTHERS)
-def test_files_of_other_sections_are_right_and_reproducible(
-    section: str, large: CadModel, exported_again: Path
-) -> None:
+def test_files_of_other_sections_are_reproducible(section: str, large: CadModel, exported: Exported) -> None:
     """The kernel keeps one of two coincident vertices by its address, which differs between processes."""
-    for kind, content in files_of(OTHERS[section], large).items():
-        assert content == (exported_again / f"{section}.{kind}").read_bytes(), kind
+    made = exported[0].parents[1]
+    for kind, content in files_of(large, OTHERS[section]).items():
+        assert content == (made / f"{section}.{kind}").read_bytes(), kind
     thickness = 6.0 if section == "hollow" else 3.6
-    mesh = trimesh.load(exported_again / f"{section}.stl")
+    mesh = trimesh.load(made / f"{section}.stl")
     assert mesh.is_watertight and mesh.is_winding_consistent
     above = mesh.vertices[mesh.vertices[:, 2] > -1e-3]
     near = above[np.hypot(above[:, 0], above[:, 1]) < 6.1]  # without the flange's rim
@@ -278,7 +228,7 @@ def test_files_of_other_sections_are_right_and_reproducible(
     assert abs(near[:, :2]).max(axis=0) == pytest.approx([6.0, thickness], abs=1e-5)
     # A hollow body has a handle: its surface is that of a torus. The clocking mark is another one.
     assert mesh.euler_number == (2 - 2 * 2 if section == "hollow" else 2 - 2 * 1)
-    (solid,) = cq.importers.importStep(str(exported_again / f"{section}.step")).solids().vals()
+    (solid,) = cq.importers.importStep(str(made / f"{section}.step")).solids().vals()
     # STEP writes some fifteen digits; kernel and file agree to about 1e-12.
     wanted = with_probe(large, design_of(OTHERS[section])).parts["probe"].shape.Volume()
     assert solid.Volume() == pytest.approx(wanted, rel=1e-9)

@@ -12,15 +12,7 @@ from probedesign.cli.main import run
 from probedesign.core.errors import InputError
 from probedesign.design import Design, check_design, load_design, parse_design
 from probedesign.design.catalog import RESINS, ROBOT_FLANGES
-from probedesign.design.io import (
-    default_name,
-    default_tip_d_mm,
-    new,
-    notes_of,
-    render_design,
-    sensor_keys,
-    write_design,
-)
+from probedesign.design.io import default_tip_d_mm, new, notes_of, render_design, sensor_keys, write_design
 from probedesign.design.sensor_catalog import SENSORS
 
 DESIGNS = Path(__file__).parents[2] / "designs"
@@ -496,9 +488,12 @@ def test_default_tip(base, tip):
 
 
 def test_default_names_carry_the_parameters():
-    assert default_name("cone", 150.0, 12.0, 2.0) == "cone-150x12x2"
-    assert default_name("cylinder", 80.5, 6.0, None) == "cylinder-80.5x6"
-    assert default_name("cone", 150.0, 12.0, 2.0, "hollow", 0.5) == "cone-150x12x2-hollow-0.5"
+    assert new(length_mm=150.0, base_d_mm=12.0).name == "cone-150x12x2"
+    assert new(shape="cylinder", length_mm=80.5, base_d_mm=6.0).name == "cylinder-80.5x6"
+    hollow = new(length_mm=150.0, base_d_mm=12.0, tip_d_mm=4.0, section="hollow", bore_ratio=0.5)
+    assert hollow.name == "cone-150x12x4-hollow-0.5"
+    bent = new(length_mm=60.0, base_d_mm=8.0, tip="rounded", axis="arc", axis_bend_deg=60.0)
+    assert bent.name == "cone-60x8x2-rounded-arc-60"
 
 
 def test_a_sensor_by_model_or_calibration():
