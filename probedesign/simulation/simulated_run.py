@@ -27,7 +27,6 @@ from probedesign.geometry import Axis
 from probedesign.live.blocks import Block
 from probedesign.live.poses.base_poses import TimedPose, pose_from_matrix
 from probedesign.live.poses.pose_sources import POSE_COLUMNS
-from probedesign.live.recordings.csv import CsvRecorder
 from probedesign.live.recordings.mcap_write import McapRecorder
 from probedesign.mapping.contact_map import ContactMap
 from probedesign.prediction.monte_carlo import perturbed_rod
@@ -86,7 +85,6 @@ class SimulatedTrajectory:
     R_world_base: Array  #: rotation of the base, which is constant, (3, 3).
     wrench_free: Array  #: wrench of the free probe at the base [N, N·m], (6,).
     rng: np.random.Generator  #: random numbers of the bias.
-    time_scale: float = 1.0  #: factor on all durations; sample and pose rates are divided by it.
     bias_rate: float = WALK_STEPS  #: random walk of the bias, in steps of the sensor's resolution per √s.
     times: list[float] = field(default_factory=list)  #: times of the waypoints [s].
     positions: list[Array] = field(default_factory=list)  #: positions of the base reported by the robot [m], (3,) each.
@@ -121,10 +119,6 @@ class SimulatedTrajectory:
         self._move(APPROACH_TIME, p, self.wrench_free)
         self._dwell(FREE_TIME)
 
-    def press_positions(self, n_presses: int) -> list[Array]:
-        """Return the positions of the base at the presses of the object just left [m], (3,) each."""
-        return self.positions[-2 * n_presses - 1 : -2 : 2]
-
     def poses(self) -> list[TimedPose]:
         """Return the poses that the robot reports."""
         time = self._sample_times(POSE_RATE)
@@ -146,21 +140,19 @@ class SimulatedTrajectory:
             yield Block(time[part], wrench[part], gravity, np.full(len(time[part]), np.nan))
 
     def _sample_times(self, rate: float) -> Array:
-        return np.arange(0.0, self.end, self.time_scale / rate)
+        return np.arange(0.0, self.end, 1.0 / rate)
 
     def _interpolate(self, time: Array, values: list[Array]) -> Array:
         columns = np.array(values)
         return np.stack([np.interp(time, self.times, columns[:, i]) for i in range(6)], axis=1)
 
     def _move(self, seconds: float, p: Array, wrench_base: Array) -> None:
-        seconds *= self.time_scale
         # The bias also walks during the dwell before the move; that part is added here.
         walk = self.rng.normal(0.0, self.bias_rate * math.sqrt(self.end - self.times[-2] + seconds), 6)
         self._add(self.end + seconds, p, wrench_base, self.biases[-1] + walk)
 
     def _dwell(self, seconds: float) -> None:
-        time = self.end + self.time_scale * seconds
-        self._add(time, self.positions[-1], self.wrenches[-1], self.biases[-1])
+        self._add(self.end + seconds, self.positions[-1], self.wrenches[-1], self.biases[-1])
 
     def _add(self, time: float, p: Array, wrench_base: Array, bias: Array) -> None:
         self.times.append(time)
@@ -178,7 +170,6 @@ class TrueTouch:
     end: float
     p_world: Array  #: touched point of the card at rest, the mean over the poses [m], (3,).
     force: float  #: largest force [N].
-    moment: float  #: largest moment of the contact about the base [N·m].
     clearance: float  #: smallest distance between the probe beyond the contact and the card behind its edge [m].
     wrenches_base: Array  #: wrench at the base at each pose, without bias and noise [N, N·m], (k, 6).
     Ts_world_base: Array  #: poses reported by the robot, (k, 4, 4).
@@ -193,7 +184,6 @@ class SimulatedRun:
     trajectory: SimulatedTrajectory  #: motion of the base, with the true wrench.
     touches: tuple[TrueTouch, ...]  #: ground truth, in order of time.
     wrench_free: Array  #: wrench of the free probe at the base [N, N·m], (6,).
-    gravity_base: Array  #: gravity in base axes [m/s²], (3,).
 
 
 TOUCHING = 0.75  #: Place along a curved probe whose tangent is that of a straight one, as a fraction of the length.
@@ -221,11 +211,7 @@ def base_rotation(pitch: float = PITCH, axis: Axis | None = None) -> Array:
 
 
 def simulate_run(
-    model: ProbeModel,
-    targets: Sequence[TouchTarget],
-    rng: np.random.Generator,
-    errors: RunErrors | None = None,
-    time_scale: float = 1.0,
+    model: ProbeModel, targets: Sequence[TouchTarget], rng: np.random.Generator, errors: RunErrors | None = None
 ) -> SimulatedRun:
     """Simulate touching the targets one after the other.
 
@@ -234,7 +220,6 @@ def simulate_run(
         targets: points of a card house.
         rng: random numbers of the errors.
         errors: standard deviations of the unknown errors.
-        time_scale: as in `SimulatedTrajectory`.
 
     Raises:
         InputError: the probe has no stable equilibrium, or misses an edge.
@@ -247,13 +232,13 @@ def simulate_run(
     rotation = Rotation.from_rotvec(rng.spawn(1)[0].normal(0.0, errors.rotation)).as_matrix()
     bench = _Bench(model.rod, perturbed_rod(model.rod, log_changes), base_rotation(axis=model.axis), rotation)
     free = bench.true_free.wrench_base
-    trajectory = SimulatedTrajectory(bench.R_reported, free, rng, time_scale, errors.bias_rate)
+    trajectory = SimulatedTrajectory(bench.R_reported, free, rng, errors.bias_rate)
     friction_rng = rng.spawn(1)[0]
     touches = []
     for target in targets:
         friction = draw_friction(errors.friction, errors.friction_spread, friction_rng)
         touches.append(_touch(bench, trajectory, target, offset, errors.base_repeat, rng, friction))
-    return SimulatedRun(trajectory, tuple(touches), free, bench.gravity)
+    return SimulatedRun(trajectory, tuple(touches), free)
 
 
 class _Bench:
@@ -306,23 +291,6 @@ def _require_ok(target: TouchTarget, result: str) -> None:
         raise InputError(f"{target.card.name} at {target.fraction:.2f} of the length: {result}")
 
 
-def _press_poses(
-    bench: _Bench, target: TouchTarget, p_bases: Iterable[Array], friction: float
-) -> Iterator[tuple[float, Array, CoulombContact]]:
-    """Yield the travel at first contact [m], the base position [m], (3,), and the contact, position by position."""
-    contact, touched = None, np.nan
-    for p in p_bases:
-        point = bench.R.T @ (target.p_world - p)
-        if contact is None:
-            press = bench.press(target, p, friction, true=True)
-            contact = press.first_contact(float((press.start - point) @ press.direction))
-            _require_ok(target, contact.result)
-            touched = press.travel_of(contact)
-        contact = press.solver.advance(contact, point)
-        _require_ok(target, contact.result)
-        yield touched, p, contact
-
-
 def _touch(
     bench: _Bench,
     trajectory: SimulatedTrajectory,
@@ -340,25 +308,25 @@ def _touch(
     commanded = [start + depth * target.direction for depth in depths * N_CYCLES]
     begin = trajectory.end
     p_true, contacts = list[Array](), list[CoulombContact]()
-    true_positions = (p + bench.R @ offset + rng.normal(0.0, base_repeat, 3) for p in commanded)
-    for goal, (touched, p, contact) in zip(
-        commanded, _press_poses(bench, target, true_positions, friction), strict=True
-    ):
+    for goal in commanded:
+        p = goal + bench.R @ offset + rng.normal(0.0, base_repeat, 3)
         if not contacts:
-            trajectory.approach(start + (touched - CLEARANCE) * target.direction)
+            press = bench.press(target, p, friction, true=True)
+            first = press.first_contact(float((press.start - bench.R.T @ (target.p_world - p)) @ press.direction))
+            _require_ok(target, first.result)
+            trajectory.approach(start + (press.travel_of(first) - CLEARANCE) * target.direction)
+        contact = press.solver.advance(contacts[-1] if contacts else first, bench.R.T @ (target.p_world - p))
+        _require_ok(target, contact.result)
         trajectory.press(goal, contact.equilibrium.wrench_base)
         p_true.append(p)
         contacts.append(contact)
     trajectory.retreat(ready)
-    reported = trajectory.press_positions(len(contacts))
     wrenches = np.array([contact.equilibrium.wrench_base for contact in contacts])
-    moments = np.linalg.norm((wrenches - bench.true_free.wrench_base)[:, 3:], axis=1)
     points = [p + bench.R @ contact.p_rest_base for p, contact in zip(p_true, contacts, strict=True)]
     return TrueTouch(
         target, begin, trajectory.end, np.mean(points, axis=0), max(contact.magnitude for contact in contacts),
-        float(moments.max()),
-        min(_clearance(bench, target, p, contact) for p, contact in zip(reported, contacts, strict=True)),
-        wrenches, np.array([pose(bench.R_reported, p) for p in reported]),
+        min(_clearance(bench, target, p, contact) for p, contact in zip(commanded, contacts, strict=True)),
+        wrenches, np.array([pose(bench.R_reported, p) for p in commanded]),
         friction, np.array([contact.tangential_force / contact.normal_force for contact in contacts]),
     )  # fmt: skip
 
@@ -401,7 +369,7 @@ def write_run(
     recording: str = FILES[0],
     source: str = SOURCE,
 ) -> tuple[Path, ...]:
-    """Write the recording (.mcap or .csv) and the poses, which `explore` reads, and the ground truth; return the paths.
+    """Write the recording and the poses, which `explore` reads, and the ground truth; return the paths.
 
     `rng` draws the noise of the sensor; `source` is what the recording states as its origin.
 
@@ -409,10 +377,7 @@ def write_run(
         InputError: files exist and `force` is not set, or they cannot be written.
     """
     paths = check_run_files(folder, force, recording)
-    table = recording.endswith(".csv")
-    file = (
-        CsvRecorder(paths[0], force) if table else McapRecorder(paths[0], model, force=force, about={"source": source})
-    )
+    file = McapRecorder(paths[0], model, force=force, about={"source": source})
     try:
         flushed = 0.0
         for block in run.trajectory.blocks(model, rng):
