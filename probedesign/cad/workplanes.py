@@ -12,7 +12,7 @@ import numpy as np
 
 from probedesign.cad.export import SCHEMA, cad_files, model_record
 from probedesign.cad.folder import check_target, digests, write_export
-from probedesign.cad.kernel import FLAT_MM, cylinder, location, mass_properties
+from probedesign.cad.kernel import FLAT_MM, cylinder, location
 from probedesign.cad.mesh import part_stl, printed_mesh, tessellate
 from probedesign.cad.model import CadModel, CadPart, assembly_of, box_of, build_cad, printed_solid
 from probedesign.cad.solids import ScrewGroup
@@ -148,12 +148,9 @@ def with_measured_screws(model: CadModel, changed: Iterable[str]) -> CadModel:
     Raises:
         CheckFailedError: a head meets no seat, a screw enters too little or too deep, or parts do not touch.
     """
-    for names in TOUCHING:
-        gap = model.parts[names[0]].placed.distance(model.parts[names[1]].placed)
-        if gap > GAP_MM and not set(names).isdisjoint(changed):
-            raise CheckFailedError(
-                f"{model.design.name}: {' and '.join(names)} are {gap:.2g} mm apart; they must touch"
-            )
+    for a, b in (pair for pair in TOUCHING if not set(pair).isdisjoint(changed)):
+        if (gap := model.parts[a].placed.distance(model.parts[b].placed)) > GAP_MM:
+            raise CheckFailedError(f"{model.design.name}: {a} and {b} are {gap:.2g} mm apart; they must touch")
     screws, parts = [], dict(model.parts)
     for group in model.screws:
         if not set(CLAMPED[group.name]).isdisjoint(changed):
@@ -277,7 +274,7 @@ def export_changed(
     model = with_measured_screws(changed_model(design, changed), changed)
     fingerprints = dict(model.fingerprints)
     for name in changed:  # of volume and centre of mass, which stand for dimensions that nobody lists
-        body = mass_properties(model.parts[name].shape, 1.0)
+        body = model.parts[name].body
         fingerprints[name] = fingerprint_of([np.cbrt(body.volume), *body.p_com])
     if not {"sensor_adapter", "clamp_ring"}.isdisjoint(changed):
         rigid = combined(body for name, body in model.bodies.items() if name != "flexible")
@@ -290,15 +287,15 @@ def export_changed(
         as_printed = printed_mesh(design, name, mesh)
         contents[f"{name}.stl"] = part_stl(design, name, as_printed, fingerprints[name])
 
-    def masses(part: CadPart) -> dict[str, float]:
-        solids = {"mass_kg": part.shape, "mass_as_designed_kg": printed_solid(design, part.name)}
-        return {key: mass_properties(solid, part.density).mass for key, solid in solids.items()}
-
+    drawn = build_cad(design).parts
     manifest = {
         "schema": SCHEMA,
         "kind": "changed parts",
         **model_record(model, digests(contents), findings),
-        "changed": {name: masses(model.parts[name]) for name in changed},
+        "changed": {
+            name: {"mass_kg": model.parts[name].body.mass, "mass_as_designed_kg": drawn[name].body.mass}
+            for name in changed
+        },
         "print_scale": {name: list(print_scale(design, name)) for name in changed},
     }
     return write_export(folder, contents, manifest)

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Annotated, Literal, Self
 
 import numpy as np
-from pydantic import Field, field_validator, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from probedesign.core.csv_tables import read_text
 from probedesign.core.errors import quoted
@@ -231,36 +231,29 @@ class NoiseTable(Table):
         return tuple(tuple(row) for row in ((cov + cov.T) / 2.0).tolist())
 
 
-class CalibrationTable(Table):
-    """`[[calibrations]]`: ranges and resolution of one calibration; without resolution that of the noise is taken."""
-
-    name: str
-    range_N: Three
-    range_Nm: Three
-    resolution_N: Three | None = None
-    resolution_Nm: Three | None = None
-
-    @field_validator("name")
-    @classmethod
-    def _plain(cls, value: str) -> str:
-        return _plain_name(value)
-
-
 def _plain_name(value: str) -> str:
-    """Return the name.
-
-    Raises:
-        ValueError: it is not a plain name.
-    """
     if not is_plain_name(value):
         raise Inconsistent("name", f"= {quoted(value)} is not a plain name; use letters, digits, '-', '_' and '.'")
     return value
 
 
+PlainName = Annotated[str, AfterValidator(_plain_name)]
+
+
+class CalibrationTable(Table):
+    """`[[calibrations]]`: ranges and resolution of one calibration; without resolution that of the noise is taken."""
+
+    name: PlainName
+    range_N: Three
+    range_Nm: Three
+    resolution_N: Three | None = None
+    resolution_Nm: Three | None = None
+
+
 class SensorRecord(Table):
     """A sensor file."""
 
-    name: str
+    name: PlainName
     product: Text
     source: Text
     assumed: Annotated[tuple[str, ...], FromArray] = ()
@@ -273,8 +266,6 @@ class SensorRecord(Table):
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
-        if not is_plain_name(self.name):
-            raise Inconsistent("name", f"= {quoted(self.name)} is not a plain name")
         known = known_keys(type(self))
         for key in self.assumed:
             if key not in known:

@@ -110,41 +110,6 @@ def test_the_mesh_is_closed_and_close_to_the_solid(drawn: tuple[Mount, cq.Solid,
         assert np.abs(depth).max() < 0.03
 
 
-@pytest.mark.slow
-def test_the_mesh_does_not_meet_itself(drawn: tuple[Mount, cq.Solid, cq.Solid]) -> None:
-    mesh = tessellate(drawn[2], 0.05, 0.3)
-    assert crossing(mesh) == 0
-    folded = mesh.vertices.copy()  # the check sees a body whose tip is pushed through its side
-    folded[:, 2] = np.minimum(folded[:, 2], 2.0 * np.median(folded[:, 2]) - folded[:, 2])
-    assert crossing(trimesh.Trimesh(folded, mesh.faces, process=False)) > 0
-
-
-def crossing(mesh: trimesh.Trimesh) -> int:
-    """Count edges that pass through a triangle with which they share no corner."""
-    edges, faces, v = mesh.edges_unique, mesh.faces, mesh.vertices
-    ends, corners = v[edges], v[faces]
-    reach = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) / 2.0
-    size = np.linalg.norm(corners - corners.mean(axis=1, keepdims=True), axis=2).max(axis=1)
-    long = reach > 2.0  # on flat faces of the flange, of which nothing else comes near
-    tree = cKDTree(corners.mean(axis=1)[size < 4.0])
-    small, thin = np.flatnonzero(size < 4.0), np.flatnonzero(~long)
-    near = tree.query_ball_point(ends[thin].mean(axis=1), reach[thin] + size[small].max())
-    e = np.repeat(thin, [len(n) for n in near])
-    f = small[np.concatenate([np.asarray(n, dtype=int) for n in near])]
-    apart = (edges[e][:, :, None] != faces[f][:, None, :]).all(axis=(1, 2))
-    e, f = e[apart], f[apart]
-    a, d = ends[e, 0], ends[e, 1] - ends[e, 0]
-    b, c = corners[f, 1] - corners[f, 0], corners[f, 2] - corners[f, 0]
-    h = np.cross(d, c)
-    det = np.einsum("ij,ij->i", b, h)
-    det[np.abs(det) < 1e-12] = np.inf
-    from_corner = a - corners[f, 0]
-    u = np.einsum("ij,ij->i", from_corner, h) / det
-    q = np.cross(from_corner, b)
-    w, t = np.einsum("ij,ij->i", d, q) / det, np.einsum("ij,ij->i", c, q) / det
-    return int(np.sum((u > 1e-6) & (w > 1e-6) & (u + w < 1.0 - 1e-6) & (t > 1e-6) & (t < 1.0 - 1e-6)))
-
-
 def test_a_body_that_would_touch_the_clamp_ring_is_refused_with_the_largest_bend() -> None:
     """A half circle whose tip comes down onto the ring: a smaller bend keeps it above."""
     text = 'length_mm = 25.0\nbase_d_mm = 4.0\ntip_d_mm = 2.0\naxis = "arc"\naxis_azimuth_deg = 45.0\naxis_bend_deg = '
