@@ -248,7 +248,7 @@ def tolerance_stacks(a: SensorAdapter, plate: FlangeAdapter) -> list[Stack]:
             (0.0, max(MAX_CENTRING_PLAY[0], MAX_CENTRING_PLAY[1] * robot.spigot[0])),
             "mount.flange.spigot_mm or mount.flange.recess_d_mm",
         ))  # fmt: skip
-    return [Stack(*row, f"change {keys}") for *row, keys in rows]
+    return [Stack(name, what, items, limits, f"change {keys}") for name, what, items, limits, keys in rows]
 
 
 @dataclass(frozen=True)
