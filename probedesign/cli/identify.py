@@ -140,7 +140,7 @@ def _print(fit: "Identification") -> None:
             print(f"  {name} ± {number.relative_std:.2%} (one standard deviation): {shares}")
     for rank, cause in enumerate(fit.likely_causes[:MAX_CAUSES], 1):
         print(f"  likely cause {rank}: {cause}")
-    for note in (*fit.caveats, *fit.notes):
+    for note in fit.notes:
         print(f"  note: {note}")
 
 

@@ -100,10 +100,9 @@ def _split_key(name: str) -> tuple[str, str]:
 
 
 def _value(number: Identified, fit: Identification, day: str) -> Change:
-    caveat = f"; {number.caveat}" if number.caveat else ""
     tests = f"{fit.tests} test{'s' * (fit.tests != 1)}"
     start = f"identified {day}, {tests}" if number.identified else number.why
-    note = f"{start}: {number.low:.4g} ... {number.high:.4g} in 95 %, with these diameters{caveat}"
+    note = f"{start}: {number.low:.4g} ... {number.high:.4g} in 95 %, with these diameters"
     return Change(*_split_key(number.name), f"{number.value:.4g}", note)
 
 

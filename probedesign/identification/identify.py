@@ -288,7 +288,7 @@ def identify(data: IdentificationData, names: Sequence[str] = DEFAULT, accept: b
         identified = tuple(name for name in identified if name not in [other.name for other in lost])
         unobservable += [other for other in lost if "E" not in identified or other.name not in IMPLIED]
     numbers, correlation, correlated = result.identified_numbers(used, identified, unobservable, names, quantile)
-    numbers, residuals = result.with_caveats(numbers), result.residuals_of(fitted)
+    residuals = result.residuals_of(fitted)
     used_tests = {residual.test for residual in residuals}
     whole = Identification(
         fitted.result, data.common.model.name, data.common.model.fingerprint, data.where, len(data.tests),

@@ -38,8 +38,6 @@ CONFIDENCE = 0.95
 UNITS = {"markers": "mm", "touches": "mm", "places": "mm", "sags": "mm", "wrenches": "N and N·m", "scales": "g",
          "friction": "share of the force", "weights": "share of the load", "stiffness": "logarithm of the stiffness",
          "poisson": "logarithm of E/G", "poses": "rad and m"}  # fmt: skip
-#: Fraction of `Parameter.max_std` from which on the standard deviation makes a parameter weakly identifiable (assumed).
-WEAK = 0.5
 #: Largest posterior over prior variance with which an implied parameter counts as identified by the tests: they then
 #: contain at least as much information on it as its prior.
 DATA_SHARE = 0.5
@@ -73,7 +71,6 @@ class Identified:
     #: power of the base diameter with which `value` changes if all diameters differ together; None if the diameters are
     #: not estimated.
     by_diameter: float | None = None
-    caveat: str = ""  #: to be shown with the number; empty if there is none.
     why: str = ""  #: what the tests determine instead, where it is not observable, or what the value follows from.
 
     @property
@@ -200,11 +197,6 @@ class Identification(Tabular):
     def dimensions(self) -> str:
         """Name of the diameters that the interval `of_print` of each number is with."""
         return "tolerances of dimensions" if self.of("diameters") is None else "the diameters found"
-
-    @property
-    def caveats(self) -> tuple[str, ...]:
-        """Caveats of the numbers, one line each."""
-        return tuple(f"{number.name}: {number.caveat}" for number in self.found if number.caveat)
 
     @property
     def causes(self) -> dict[str, tuple[ErrorContribution, ...]]:
@@ -399,16 +391,3 @@ def beyond_limits(fit: Fit, names: Sequence[str]) -> tuple[UnobservableDirection
                     f"(limit {PARAMETERS[name].format_std(limit)})")  # fmt: skip
             lost.append(UnobservableDirection(name, text))
     return tuple(lost)
-
-
-def with_caveats(numbers: Sequence[Identified]) -> tuple[Identified, ...]:
-    """Return the numbers, with caveats where one is near the limit of observability."""
-    result = []
-    for number in numbers:
-        parameter = PARAMETERS.get(number.name)
-        limit = parameter.max_std if parameter is not None and parameter.logarithm else None
-        if number.identified and limit is not None and number.relative_std >= WEAK * limit:
-            caveat = f"weakly identifiable: standard deviation {number.relative_std:.0%} (limit {limit:.0%})"
-            number = replace(number, caveat=f"{caveat}; consider fixing it at the design value")
-        result.append(number)
-    return tuple(result)

@@ -28,7 +28,6 @@ def identification_page(fit: Identification) -> bytes:
         "frozen probe uses them and as written to a design, including all errors of the bench; then with "
         f"{fit.dimensions}, as a property of the material.",
         *(f"Likely cause {rank}: {cause}." for rank, cause in enumerate(fit.likely_causes, 1)),
-        *fit.caveats,
         *fit.notes,
     ]
     kinds = {residual.kind for residual in fit.residuals}

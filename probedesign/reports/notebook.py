@@ -332,7 +332,6 @@ def _(fit: Identification) -> Summary:
         ("data", f"{fit.tests} tests, {fit.numbers} values for {fit.unknowns} unknowns"),
         *((number.name, _interval(number)) for number in fit.found),
         *(("likely cause", str(cause)) for cause in fit.likely_causes),
-        *(("caveat", caveat) for caveat in fit.caveats),
     ]
     drawn = any(residual.kind in ("markers", "wrenches", "touches") for residual in fit.residuals)
     return Summary(f"identification of {fit.name}", rows, residual_chart(fit) if drawn else None)

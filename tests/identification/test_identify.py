@@ -39,12 +39,13 @@ def _share_of_straight(campaign: Campaign, model: ProbeModel) -> float:
 
 @pytest.fixture(scope="module")
 def found(stage: Campaign, model: ProbeModel):
-    return identify(_data(stage, model))
+    return identify(_data(stage, model), accept=True)
 
 
 def test_stage_campaign_identifies_E(found, stage: Campaign, model: ProbeModel) -> None:
+    """To accept is harmless where nothing is contradictory."""
     E = found.of("E")
-    assert found.result == "ok" and E is not None
+    assert found.result == "ok" and E is not None and found.widening == 1.0
     assert abs(1e6 * E.value - TRUE_E) < FOUR * 1e6 * E.std
     # the readings 1.3 %, the root 0.6 %, length scale, mounting, gain and creep 0.3 to 0.5 % each
     assert _share_of_straight(stage, model) < 0.025
@@ -101,12 +102,6 @@ def test_tests_at_the_same_time_are_named(stage: Campaign, model: ProbeModel) ->
     assert data.common.walk_seconds[0] == 0.0 and min(data.common.walk_seconds[1:]) > 0.0
 
 
-def test_accept_is_harmless_where_nothing_is_contradictory(found, stage: Campaign, model: ProbeModel) -> None:
-    accepted = identify(_data(stage, model), accept=True)
-    assert accepted.result == "ok" and accepted.widening == 1.0
-    assert accepted.of("E") == found.of("E")
-
-
 def test_merely_noisy_places_are_accepted(stage: Campaign, model: ProbeModel) -> None:
     """Places that scatter by 0.5 mm where 0.05 mm are stated: the noise is estimated, and the interval is wider."""
     rng = np.random.default_rng(3)
@@ -141,10 +136,8 @@ def test_free_hangs_in_other_orientations_determine_the_weight(model: ProbeModel
 
 def test_a_factor_on_all_forces_is_noted(stage: Campaign, model: ProbeModel) -> None:
     """Touches alone do not determine it, and the result states so."""
-    ten = replace(
-        stage, tests=tuple(replace(t, wrenches=10.0 * t.wrenches) for t in stage.tests if not t.free), weighing=None
-    )
-    other = identify(_data(ten, model), ("E",))
+    touches = [replace(t, wrenches=10.0 * t.wrenches) for t in stage.tests if not t.free][::2]
+    other = identify(_data(replace(stage, tests=tuple(touches), weighing=None), model), ("E",))
     assert any("times the design's: are forces" in note for note in other.notes), other.notes
 
 
@@ -198,9 +191,10 @@ def test_weighing_determines_the_density(model: ProbeModel) -> None:
     assert density.std_of_print > 5.0 * density.std  # the diameters' tolerance, not the scales
 
 
-def test_a_wrong_marker_is_an_outlier_with_little_weight(cameras: Campaign, model: ProbeModel) -> None:
-    data = _data(cameras, model)
-    clean = identify(data, ("E",)).of("E")
+def test_a_wrong_marker_is_an_outlier_with_little_weight(
+    cameras: Campaign, found_by_cameras, model: ProbeModel
+) -> None:
+    data, clean = _data(cameras, model), found_by_cameras.of("E")
     wrong = data.tests[7].p_markers_world.copy()
     wrong[4] += (0.0, 0.0, 0.03)
     trials = list(data.tests)
@@ -212,10 +206,10 @@ def test_a_wrong_marker_is_an_outlier_with_little_weight(cameras: Campaign, mode
     assert E is not None and abs(E.value - clean.value) < 0.3 * clean.std  # pulled by c²/d = 11/30 deviations of one
 
 
-def test_more_noise_than_stated_widens_the_interval(cameras: Campaign, model: ProbeModel) -> None:
+def test_more_noise_than_stated_widens_the_interval(cameras: Campaign, found_by_cameras, model: ProbeModel) -> None:
     data = _data(cameras, model)
     understated = tuple(replace(t, cov_markers=t.cov_markers / 4.0) for t in data.tests)
-    other, reference = identify(replace(data, tests=understated), ("E",)), identify(data, ("E",))
+    other, reference = identify(replace(data, tests=understated), ("E",)), found_by_cameras
     markers = next(one for one in other.noise if one.kind == "markers")
     assert markers.measured and markers.scale == pytest.approx(2.0, rel=0.1)  # 600 numbers: 3 % each way
     assert other.of("E").std == pytest.approx(reference.of("E").std, rel=0.15)
@@ -331,7 +325,7 @@ def test_the_drift_of_the_bias_is_that_of_the_free_readings(model: ProbeModel) -
 def test_the_bias_between_free_readings_is_in_its_interval(drift: float, model: ProbeModel) -> None:
     """Five free readings of 21: the next one, held out, lies in the 95 % interval of what the others and the size of
     the drift that they show say of it."""
-    rng, inside, draws = np.random.default_rng(1), [], 60
+    rng, inside, draws = np.random.default_rng(1), [], 30
     shared = replace(_shared(model), walk_seconds=(60.0,) * 20)
     for _ in range(draws):
         tests = _drifting(model, np.full(6, drift), rng, 6)
@@ -342,7 +336,7 @@ def test_the_bias_between_free_readings_is_in_its_interval(drift: float, model: 
         by = modes[-1] - modes[-2]
         cov = by @ by.T + last.cov_wrench + known[-1].cov_wrench
         inside += [np.abs(change) < 1.96 * np.sqrt(np.diag(cov))]
-    # six channels, of which each draw gives independent ones: four standard deviations of 360 draws
+    # six channels, of which each draw gives independent ones: four standard deviations of 180 draws
     assert np.mean(inside) > 0.95 - 4.0 * np.sqrt(0.95 * 0.05 / (6 * draws))
 
 

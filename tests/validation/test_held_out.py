@@ -80,14 +80,14 @@ def test_the_intervals_of_coverage_and_ratio_have_their_width():
     """Of touches with correct covariances the 95 % interval of the ratio misses 1 in one of twenty draws."""
     rng = np.random.default_rng(1)
     missed = 0
-    draws, touches = 400, 20
+    draws, touches = 200, 20
     for _ in range(draws):
         errors = [_Error(float(value)) for value in rng.chisquare(3, size=touches)]
         found = coverage_of([_Touch(error) for error in errors], False)
         missed += not found.ratio_low <= 1.0 <= found.ratio_high
         assert found.ratio_low < found.nees_ratio < found.ratio_high
         assert (found.verdict == "too_small") == (found.ratio_low > 1.0 or found.high < 0.95)
-    assert missed / draws == pytest.approx(0.05, abs=0.044)  # four standard deviations
+    assert missed / draws < 0.05 + 0.062  # four standard deviations
 
 
 @pytest.mark.parametrize(("larger", "needed"), [(1.5, 20), (2.0, 8)])
@@ -95,7 +95,7 @@ def test_the_number_of_touches_needed_notices_errors_that_are_larger(larger, nee
     """That many touches give the verdict "too_small" in 95 % of draws, half as many do not, and it is rarely wrong."""
     n = touches_needed(larger, 3)
     assert n == needed
-    rng, draws = np.random.default_rng(2), 150
+    rng, draws = np.random.default_rng(2), 80
 
     def too_small(touches, factor):
         squares = factor**2 * rng.chisquare(3, size=(draws, touches))
