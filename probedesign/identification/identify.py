@@ -11,7 +11,7 @@ from scipy.stats import norm
 from scipy.stats import t as student_t
 
 from probedesign.campaigns import Campaign, Test
-from probedesign.campaigns.campaign import TESTS, WRENCHES
+from probedesign.campaigns.campaign import TESTS
 from probedesign.campaigns.checks import check_probe
 from probedesign.campaigns.manifest import WRIST
 from probedesign.core.errors import InputError
@@ -132,26 +132,14 @@ def data_of(campaign: Campaign, model: ProbeModel, flange_volume: float) -> Iden
 
 
 def _epochs(campaign: Campaign, notes: list[str]) -> tuple[dict[str, int], Array]:
-    """Return the position of each test with readings in the order of time, and the times [s].
-
-    Without times, or with times that begin anew in each test, the order is that of the table. A single test without
-    time is taken between its neighbours in the table.
-    """
+    """Return the position of each test with readings in the order of time, and the times [s]; the order is that of the
+    table where a test has no time, or where times begin anew in each test."""
     read = [test for test in campaign.tests if len(test.wrenches)]
-    times, positions = np.array([test.time for test in read]), np.arange(len(read))
-    known = np.isfinite(times)
-    if not known.any():
-        if len(read) > 1:
-            notes.append(f"times of tests are not known: {TEST_SECONDS:g} s from one to the next are assumed, in the "
-                         "order of tests.csv")  # fmt: skip
-        times = TEST_SECONDS * positions
-    elif not known.all():
-        lost = ", ".join(test.name for test, is_known in zip(read, known, strict=True) if not is_known)
-        notes.append(f"{lost}: no time_s in {WRENCHES}; the time between the neighbours in {TESTS} is assumed")
-        times = np.interp(positions, positions[known], times[known])
-    twins = [test.name for test, time in zip(read, times, strict=True) if known.all() and (times == time).sum() > 1]
-    if twins:
-        notes.append(f"{', '.join(twins)}: the same time_s in {WRENCHES}; no drift between them is assumed")
+    times = np.array([test.time for test in read])
+    if not np.isfinite(times).all():
+        times = TEST_SECONDS * np.arange(len(read))
+        notes += [f"times of tests are not known: {TEST_SECONDS:g} s from one to the next are assumed, in the order of "
+                  f"{TESTS}"] * (len(read) > 1)  # fmt: skip
     ranks = np.argsort(times, kind="stable")
     return {read[i].name: k for k, i in enumerate(ranks)}, times[ranks]
 
@@ -256,7 +244,11 @@ def identify(data: IdentificationData, names: Sequence[str] = DEFAULT, accept: b
     sizes, student = drift_sizes(data.common, data.tests)
     data = replace(data, common=replace(data.common, drift=sizes))
     data, start = _solvable(data, names)
-    _check_counts(data, start, names)
+    values = sum(len(block.r) for block in start.blocks if block.kind != "poisson")
+    unknowns = len(columns_of(names)) + sum(test.nuisance_size for test in data.tests)
+    if values < unknowns:
+        raise InputError(f"{data.where}: too few tests for {', '.join(names)}: {values} values are measured for "
+                         f"{unknowns} unknowns")  # fmt: skip
     fitted, identified, unobservable = _search(data, names, start)
     outlying = outliers(fitted.point.blocks, fitted.scales)
     at_first = fitted
@@ -366,15 +358,6 @@ def _solvable(data: IdentificationData, names: Sequence[str]) -> tuple[Identific
                          "the right design, and are forces in their column's unit?")  # fmt: skip
     notes = tuple(f"{test.name}: not used: the probe buckles under its load" for test in lost)
     return replace(data, tests=tuple(kept), notes=(*data.notes, *notes)), start
-
-
-def _check_counts(data: IdentificationData, start: Linearization, names: Sequence[str]) -> None:
-    values = sum(len(block.r) for block in start.blocks if block.kind != "poisson")
-    unknowns = len(columns_of(names)) + sum(test.nuisance_size for test in data.tests)
-    if values < unknowns:
-        raise InputError(
-            f"{data.where}: too few tests for {', '.join(names)}: {values} values are measured for {unknowns} unknowns"
-        )
 
 
 def _remarks(fitted: Fit, student: float) -> list[str]:
