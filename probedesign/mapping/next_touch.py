@@ -10,10 +10,8 @@ and the goal's variance is the mean square displacement of its points. The exten
 of an interval in which n touches with range R are uniform, with a log-uniform prior; a touch beyond an end is met with
 the probability that w reaches so far, and so is one that improves another goal there.
 
-Every touch is one of a fixed set of places, orientations of the base near those of the run, and places on the probe.
 The errors that are common to the next touch and the earlier ones count as independent, so a gain is rather too large
-where these dominate. The probe is taken as straight beside a known object: its axis must stay outside. The axis of the
-free probe crosses no shape of the map, and stays above the lowest point of the probe in the run, where a table may be.
+where these dominate. The probe is taken as straight beside a known object: its axis must stay outside.
 """
 
 import math

@@ -12,10 +12,7 @@ The kind is chosen by the evidence, the integral of likelihood times prior by La
 
 A touched place is uniform over the extent of the shape, and the extent is log-uniform, so an edge that explains the
 touches of a line is more probable than a plane through them. Without a shape, points are uniform in the workspace and
-forces have any direction. A straight probe touches a plane with its tip, so a contact away from the tip is on no plane,
-unless it is on the edge that bounds the plane. An edge bounds a half-plane that turns about it by one angle; touches
-of its face lie behind the edge, uniform in a depth that is log-uniform too, and those of the edge have normals away
-from it. A plane that another choice of shapes explains nearly as well is not reported.
+forces have any direction. A straight probe touches a plane with its tip, or at the edge that bounds it (`_sheets`).
 
 Source: P. H. S. Torr and A. Zisserman, MLESAC, Computer Vision and Image Understanding 78 (2000); D. J. C. MacKay,
 Bayesian interpolation, Neural Computation 4 (1992), for the evidence.

@@ -4,7 +4,6 @@ Only the page's own origin may connect and, beyond this machine, only with a tok
 guard replaces `websockets.asyncio.server.serve`, which viser calls, so viser is pinned to its minor version.
 """
 
-import gzip
 import hmac
 import http
 import re
@@ -138,7 +137,6 @@ class RequestFilter:
         self._token, self._serve_file, self._window, self._on_link = token, serve_file, window, on_link
         self._head = f"<title>{escape(title)}</title><script>{SCRIPT}</script><style>{STYLE}</style>{head}"
         self._cookie = f"probedesign_view_{port}"  # a browser sends cookies to all ports of a host
-        self._pages: dict[int, bytes] = {}
 
     def __call__(self, connection: server.ServerConnection, request: Request) -> Response | None:
         """Return the response to a request; None accepts a WebSocket."""
@@ -163,32 +161,21 @@ class RequestFilter:
         state = parse_qs(urlsplit(request.path).query).get("state")
         if state and self._on_link and request.headers.get("Sec-Fetch-Site", "none") in ("none", "same-origin"):
             self._on_link(state[-1])
-        accepted = request.headers.get("Accept-Encoding", "")
-        plain = Headers(
-            [(name, value) for name, value in request.headers.raw_items() if name.lower() != "accept-encoding"]
-        )
-        response = self._serve_file(connection, Request(request.path, plain))
-        return None if response is None else self._complete(response, "gzip" in accepted)
+        # viser's page is changed, so it must not come compressed.
+        plain = [(name, value) for name, value in request.headers.raw_items() if name.lower() != "accept-encoding"]
+        response = self._serve_file(connection, Request(request.path, Headers(plain)))
+        if response is None:
+            return None
+        body = bytes(response.body or b"")
+        if response.headers.get("Content-Type", "").startswith("text/html"):
+            page = re.sub("<link[^>]*/>", f'<link rel="icon" href="{FAVICON}" />', body.decode(), count=1)
+            body = page.replace("<title>Viser</title>", self._head, 1).encode()
+        ours = {"Content-Length": str(len(body)), "Content-Encoding": "identity"} | HEADERS
+        kept = {name: value for name, value in response.headers.raw_items() if name.title() not in ours}
+        return Response(response.status_code, response.reason_phrase, Headers(kept | ours), body)
 
     def _matches(self, text: str) -> bool:
         return hmac.compare_digest(text.encode(), self._token.encode())
-
-    def _complete(self, response: Response, zipped: bool) -> Response:
-        """Return a response of viser with our headers, and its page with our title, icon, style and script."""
-        body = bytes(response.body or b"")
-        if response.headers.get("Content-Type", "").startswith("text/html"):
-            key = len(body) * 2 + zipped
-            if key not in self._pages:
-                page = re.sub("<link[^>]*/>", f'<link rel="icon" href="{FAVICON}" />', body.decode(), count=1)
-                page = page.replace("<title>Viser</title>", self._head, 1)
-                self._pages[key] = gzip.compress(page.encode()) if zipped else page.encode()
-            body = self._pages[key]
-        else:
-            zipped = False
-        ours = {"Content-Length": str(len(body)), "Content-Encoding": "gzip" if zipped else "identity"} | HEADERS
-        kept = {name: value for name, value in response.headers.raw_items() if name.title() not in ours}
-        headers = Headers(kept | ours)
-        return Response(response.status_code, response.reason_phrase, headers, body)
 
 
 def _cookie(request: Request, name: str) -> str:

@@ -9,7 +9,6 @@ import time
 from collections import defaultdict
 from contextlib import closing
 from dataclasses import replace
-from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
@@ -196,30 +195,6 @@ def test_every_channel_offers_its_qos(recorded):
         latched = channel.topic == "/tf_static"
         assert qos.durability is (QosDurability.TRANSIENT_LOCAL if latched else QosDurability.VOLATILE)
         assert (qos.deadline.sec, qos.lifespan.nsec) == (9223372036, 854775807)
-
-
-def test_the_reader_of_the_foxglove_sdk_reads_a_recording(recorded):
-    """It requires a summary and the index of every chunk."""
-    reading = pytest.importorskip("foxglove.datasets.reader")
-    path, _, _ = recorded
-
-    class Store:
-        def open(self, location):
-            return path.open("rb")
-
-    class Factory:
-        def decoder_for(self, encoding, schema):
-            assert (encoding, schema.encoding) == ("cdr", "ros2msg")
-            store = get_typestore(Stores.EMPTY)
-            store.register(get_types_from_msg(schema.data.decode(), schema.name))
-            return lambda data: store.deserialize_cdr(data, schema.name)
-
-    span = datetime(2000, 1, 1, tzinfo=UTC), datetime(2100, 1, 1, tzinfo=UTC)
-    episode = reading._Episode("one", *span, {}, (reading.ObjectLocation("file", "r.mcap"),))
-    topics = tuple(topic.name for topic in schemas.TOPICS)
-    reader = reading.EpisodeReader(episode, topics, None, Store())
-    found = {channel.topic for _, channel, _, _ in reader.iter_messages(decoder_factories=[Factory()])}
-    assert {t.name for t in (schemas.STATE, schemas.SCENE, schemas.TF, schemas.TF_STATIC, schemas.RAW)} <= found
 
 
 def test_the_layout_names_existing_topics_and_fields():

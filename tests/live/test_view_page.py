@@ -2,7 +2,6 @@
 
 import base64
 import contextlib
-import gzip
 import io
 import json
 import re
@@ -69,7 +68,7 @@ def ask(url: str, **headers: str):
     response = connection.getresponse()
     body = response.read()
     connection.close()
-    return response, gzip.decompress(body) if response.getheader("Content-Encoding") == "gzip" else body
+    return response, body
 
 
 def handshake(url: str, **headers: str) -> None:
@@ -103,9 +102,8 @@ def test_only_the_page_itself_on_this_machine_may_talk_to_its_server(view):
     assert ask(view.url, Host="localhost:1")[0].status == 200
 
 
-@pytest.mark.parametrize("encoding", ["gzip", "identity"])
-def test_the_page_has_title_and_icon_of_the_project_and_refuses_frames(view, encoding):
-    response, body = ask(view.url, **{"Accept-Encoding": encoding})
+def test_the_page_has_title_and_icon_of_the_project_and_refuses_frames(view):
+    response, body = ask(view.url, **{"Accept-Encoding": "gzip"})
     assert b"<title>probedesign large " in body and b"Viser</title>" not in body
     assert body.count(b'rel="icon"') == 1 and b"%23ec9242" in body
     assert response.getheader("X-Frame-Options") == "DENY"

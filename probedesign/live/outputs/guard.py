@@ -80,10 +80,8 @@ class Guard(Sink):
     """
 
     def __init__(self, estimator: Estimator, limits: Limits, send: Callable[[Row], None], log: Log, name: str = ""):
-        """Check the limits; raises InputError if one is beyond the sensor's range."""
-        model = estimator.model
-        limits.check(model)
-        self.stop = ""
+        """Start without a reference; `send` takes events, whose probe is `name` in a run with several."""
+        model, self.stop = estimator.model, ""
         self._estimator, self._limits, self._send, self._log, self._name = estimator, limits, send, log, name
         self._to_base = model.to_base(np.eye(6), np.zeros(3))
         self._offset: Array | None = None  # of the base wrench of a sample to its excess over the free probe

@@ -1,14 +1,9 @@
 """Touch monitoring: contact detection, the phase of a touch, fusion of its readings, and the list of contacts.
 
-The phases are those of the paper's figure 8: free, moving, touching, settled, released. In the first touch of the
-card house the paper marks three intervals: the base moves and the forces hardly vary; the probe touches and they
-change; nothing moves and readings are collected. Three tests distinguish the phases:
-
-- Contact: the sequential test of `estimation/detector.py` on single samples.
-- Stationary readings: over the last `SPAN`, their scatter and the step from its first half to its second are within the
-  sensor's noise, each at a false-alarm probability of `FALSE_ALARM`.
-- Stationary base: over the last `SPAN` the base moved by no more than `MAX_TRAVEL`. Without poses, a free probe whose
-  readings are not stationary counts as moving.
+The phases are those of the paper's figure 8. The contact test of `estimation/detector.py` reads single samples. Over the
+last `SPAN`, readings are stationary if their scatter and the step from its first half to its second are within the
+sensor's noise, each at a false-alarm probability of `FALSE_ALARM`, and the base if it moved by no more than `MAX_TRAVEL`.
+Without poses, a free probe whose readings are not stationary counts as moving.
 """
 
 import math
