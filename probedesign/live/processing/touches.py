@@ -1,9 +1,9 @@
 """Touch monitoring: contact detection, the phase of a touch, fusion of its readings, and the list of contacts.
 
-The phases are those of the paper's figure 8. The contact test of `estimation/detector.py` reads single samples. Over the
-last `SPAN`, readings are stationary if their scatter and the step from its first half to its second are within the
-sensor's noise, each at a false-alarm probability of `FALSE_ALARM`, and the base if it moved by no more than `MAX_TRAVEL`.
-Without poses, a free probe whose readings are not stationary counts as moving.
+The phases are those of the paper's figure 8. The contact test of `estimation/detector.py` reads single samples. Over
+the last `SPAN`, readings are stationary if their scatter and the step from its first half to its second are within the
+sensor's noise, each at a false-alarm probability of `FALSE_ALARM`, and the base if it moved by no more than
+`MAX_TRAVEL`. Without poses, a free probe whose readings are not stationary counts as moving.
 """
 
 import math
