@@ -46,7 +46,6 @@ from probedesign.live.sources.netft_rdt import (
     SensorClock,
     SequenceMonitor,
     fault_of,
-    steps,
 )
 from probedesign.live.sources.source import STALE_TIME, DropoutMonitor, SourceParameter, parse_parameters, range_note
 
@@ -437,7 +436,7 @@ class NetFTSource:
             status = np.where(np.isin(status, self._table.harmless), 0, status)
         before = self._last if isfinite(self._last) else records.received[0]
         if records.received[-1] - before > STALE_TIME:
-            broken |= steps(records.received, before) > STALE_TIME
+            broken |= np.diff(records.received, prepend=before) > STALE_TIME
         broken[0] |= self._dropout.ongoing
         uniform = not (broken.any() or status.any())
         cuts = [] if uniform else (np.flatnonzero(broken[1:] | (np.diff(status) != 0)) + 1).tolist()
