@@ -8,6 +8,7 @@ import pytest
 
 from probedesign.live import priority
 from probedesign.live.priority import ESTIMATES, OUTPUTS, prompt_estimates, yield_to_estimates
+from tests.live.peers import until
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="only Linux has these priorities")
 
@@ -16,17 +17,9 @@ def state(thread=0):
     return os.sched_getscheduler(thread), os.sched_getparam(thread).sched_priority
 
 
-def test_the_usual_priority_and_switch_interval_return():
-    before, interval = state(), sys.getswitchinterval()
-    with prompt_estimates() as granted:
-        assert sys.getswitchinterval() <= interval
-        assert state() == ((os.SCHED_FIFO, ESTIMATES) if granted else before)
-    assert state() == before and sys.getswitchinterval() == interval
-
-
-def test_threads_of_outputs_come_after_the_estimates():
+def test_threads_of_outputs_come_after_the_estimates_and_all_is_as_usual_afterwards():
     """One that started before the sensor streams, and one that starts meanwhile."""
-    ended, tasks, seen = threading.Event(), [], []
+    ended, tasks, before, interval = threading.Event(), [], state(), sys.getswitchinterval()
 
     def wait():
         yield_to_estimates()
@@ -38,16 +31,17 @@ def test_threads_of_outputs_come_after_the_estimates():
     try:
         with prompt_estimates() as granted:
             threads[1].start()
-            while len(tasks) < 2:
-                ended.wait(0.001)
-            seen = [state(task) for task in tasks]
+            until(lambda: len(tasks) == 2)
+            own, seen = state(), [state(task) for task in tasks]
+            assert sys.getswitchinterval() <= interval
         after = [state(task) for task in tasks]
     finally:
         ended.set()
         for thread in threads:
             thread.join()
-    expected = (os.SCHED_FIFO, OUTPUTS) if granted else (os.SCHED_OTHER, 0)
-    assert seen == [expected] * 2 and after == [(os.SCHED_OTHER, 0)] * 2
+    assert own == ((os.SCHED_FIFO, ESTIMATES) if granted else before)
+    assert seen == [(os.SCHED_FIFO, OUTPUTS) if granted else before] * 2
+    assert after == [before] * 2 and state() == before and sys.getswitchinterval() == interval
 
 
 def test_a_run_without_the_permission_is_not_changed(monkeypatch):

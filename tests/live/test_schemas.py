@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from rosbags.typesys import Stores, get_typestore
 
 from probedesign.live.recordings import schemas
-from probedesign.live.recordings.schemas import POSE, TEXT, UNCERTAIN_POSE, WRENCH
+from probedesign.live.recordings.schemas import TEXT, WRENCH
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)
 finite = st.floats(allow_nan=False)
@@ -34,15 +34,6 @@ def test_what_another_writer_writes_is_no_block_of_wrenches(other):
     for messages in ([changed], [data, changed]):
         with pytest.raises(ValueError, match="not those of one writer"):
             schemas.read_wrenches(messages)
-
-
-def test_poses_are_read_by_others():
-    seven = [1.0, 2.0, 3.0, 0.0, 0.0, 0.6, 0.8]
-    pose = STORE.deserialize_cdr(schemas.stamped("world", [1], [seven]).tobytes(), POSE).pose
-    assert (pose.position.z, pose.orientation.z, pose.orientation.w) == (3.0, 0.6, 0.8)
-    values = [*seven, *np.arange(36.0)]
-    decoded = STORE.deserialize_cdr(schemas.stamped("base", [1], [values]).tobytes(), UNCERTAIN_POSE).pose
-    assert decoded.pose.position.x == 1.0 and decoded.covariance.tolist() == list(range(36))
 
 
 @given(st.lists(st.text(st.characters(exclude_characters="\0", exclude_categories=["Cs"])), min_size=1))

@@ -1,8 +1,9 @@
 """Several probes in one run: one recording, one stream of JSON and of datagrams, and each probe as if it were alone."""
 
+import io
 import json
 import socket
-from contextlib import suppress
+from contextlib import redirect_stdout, suppress
 
 import numpy as np
 import pytest
@@ -57,19 +58,27 @@ def recorded(sent):
     return sent[0]
 
 
-def lines_of(capfd, *arguments: str) -> list[dict]:
-    assert run(["live", *arguments, "--tare", "none", "--json"]) == 0
-    return [json.loads(line) for line in capfd.readouterr().out.splitlines()]
+def rows_of(*arguments: str) -> list[dict]:
+    printed = io.StringIO()
+    with redirect_stdout(printed):
+        assert run(["live", *arguments, "--tare", "none", "--json"]) == 0
+    return [json.loads(line) for line in printed.getvalue().splitlines()]
 
 
-def test_each_probe_is_estimated_as_if_it_were_alone(bundles, capfd):
-    rows = lines_of(capfd, *bundles, *SOURCES)
+@pytest.fixture(scope="module")
+def alone(bundles):
+    """Rows of each probe in a run of its own."""
+    sources = [f"sim:?{query}" for query in QUERY.values()]
+    return [rows_of(bundle, "--source", source) for bundle, source in zip(bundles, sources, strict=True)]
+
+
+def test_each_probe_is_estimated_as_if_it_were_alone(bundles, alone):
+    rows = rows_of(*bundles, *SOURCES)
     assert {row["probe"] for row in rows} == {"left", "right"}
-    for bundle, (name, query) in zip(bundles, QUERY.items(), strict=True):
-        alone = lines_of(capfd, bundle, "--source", f"sim:?{query}")
-        assert "probe" not in alone[0]
+    for name, expected in zip(QUERY, alone, strict=True):
+        assert "probe" not in expected[0]
         together = [{key: row[key] for key in row if key != "probe"} for row in rows if row["probe"] == name]
-        assert together == alone  # exactly: the same samples, and no state in common
+        assert together == expected  # exactly: the same samples, and no state in common
 
 
 def test_one_recording_has_every_probe_with_its_readings_topics_and_frames(bundles, recorded):
@@ -92,10 +101,9 @@ def test_one_recording_has_every_probe_with_its_readings_topics_and_frames(bundl
         )
 
 
-def test_a_replay_of_one_probe_reproduces_the_run(bundles, recorded, capfd):
-    rows = lines_of(capfd, bundles[1], "--source", f"replay:{recorded}?speed=max")
-    live = lines_of(capfd, bundles[1], "--source", f"sim:?{QUERY['right']}")
-    assert rows == [{key: row[key] for key in row if not key.startswith("true_")} for row in live]
+def test_a_replay_of_one_probe_reproduces_the_run(bundles, recorded, alone):
+    rows = rows_of(bundles[1], "--source", f"replay:{recorded}?speed=max")
+    assert rows == [{key: row[key] for key in row if not key.startswith("true_")} for row in alone[1]]
     assert "one of 2 probes" in " ".join(open_recording(recorded, load_estimator(bundles[0]).model).notes)
 
 
