@@ -1,17 +1,10 @@
 """Checks of a fit: what the tests do not determine (observability), whether they contradict model or priors, and why.
 
-Observability is judged by the singular values of the whitened Jacobian after all other parameters are projected out.
-
-A fit that gives gross errors almost no weight may leave out a whole kind of reading and fit the rest well; E then rests
-on what is left, with an interval that does not show it. So the number of outliers is tested.
-
-Priors and single readings (the pose of the base, the dimensions as designed, a weighing, a sag) have full weight, so a
-gross error in one would bias the numbers unseen. Each is tested against the rest: with r its residuals over their
-standard deviations and V = I - J C Jᵀ the share of their unit variance that the fit leaves, d² = rᵀ V⁻¹ r is χ².
-
-The cause of a contradiction is sought in a table of hypotheses: a unit, a sign, a frame, exchanged readings, shifted
-markers, planes of bending that differ, another probe. Each undoes a mistake in the data or widens a prior.
-All are ranked by the χ² that the linear model predicts, and the best are fitted to a few tests with the stated noise.
+A robust fit may leave out a whole kind of reading and fit the rest well, so the number of outliers is tested. Priors
+and single readings have full weight; each is tested against the rest: with r its residuals over their standard
+deviations and V = I - J C Jᵀ the share of their unit variance that the fit leaves, d² = rᵀ V⁻¹ r is χ². The cause of a
+contradiction is sought in a table of hypotheses, each of which undoes a mistake in the data or widens a prior. See
+docs/identification.md.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -73,12 +66,9 @@ LABELS = {"markers": "markers", "wrenches": "wrenches", "touches": "touched plac
           "weights": "known loads", "stiffness": "stiffnesses of tests", "friction": "frictions"}  # fmt: skip
 #: What to check in the data folder, by kind of reading.
 CHECKS = {
-    "markers": "the unit of their columns, s_mm, side_deg and the base's rotation in campaign.toml, and the numbering "
-    "of the markers",
-    "wrenches": "the units of the force and of the moment columns, their frame, and the base's rotation in "
-    "campaign.toml",
-    "touches": "the unit of the contact columns, the base's rotation in campaign.toml and, where there are markers, "
-    "their s_mm and side_deg",
+    "markers": "their unit and numbers, and s_mm, side_deg and the base's rotation in campaign.toml",
+    "wrenches": "the units and the frame of their columns, and the base's rotation in campaign.toml",
+    "touches": "the unit of the contact columns, and the base's rotation in campaign.toml",
     "places": "s_contact_mm and std_s_mm",
     "weights": "the known forces and their unit",
 }
@@ -94,8 +84,7 @@ SINGLE_READINGS = {
 # observability
 
 
-@dataclass(frozen=True)
-class UnobservableDirection:
+class UnobservableDirection(NamedTuple):
     """A combination of requested parameters that the tests do not determine."""
 
     name: str  #: of the parameter that is left at the design value for it.
@@ -176,11 +165,10 @@ def cov_conditional(fit: Fit, columns: Sequence[int]) -> Array:
 # consistency
 
 
-@dataclass(frozen=True)
-class OutlierCount:
+class OutlierCount(NamedTuple):
     """Outliers among some readings."""
 
-    count: int  #: of all readings.
+    readings: int  #: number of all.
     outliers: int  #: readings that noise does not explain.
     farthest: float = 0.0  #: largest distance of an outlier, in standard deviations.
     freedom: int = 0  #: number of values of that outlier.
@@ -188,17 +176,17 @@ class OutlierCount:
     @property
     def majority(self) -> bool:
         """Whether more than half are outliers, so that the median is one too."""
-        return 2 * self.outliers > self.count
+        return 2 * self.outliers > self.readings
 
     @property
     def too_many(self) -> bool:
         """Whether gross errors make this number of outliers with a chance below 0.001, or outliers are a majority."""
-        chance = float(binom.sf(self.outliers - 1, self.count, GROSS_ERROR_RATE))
+        chance = float(binom.sf(self.outliers - 1, self.readings, GROSS_ERROR_RATE))
         return self.majority or chance < REJECTION_CHANCE
 
     def __str__(self) -> str:
         farthest = chi2_words(self.farthest**2, self.freedom)
-        return f"{self.outliers} of {self.count} are outliers with little weight, the farthest with {farthest}"
+        return f"{self.outliers} of {self.readings} are outliers with little weight, the farthest with {farthest}"
 
 
 class Contradiction(NamedTuple):
@@ -225,7 +213,7 @@ def inconsistency(fit: Fit) -> Contradiction | None:
     bad = bad_tests(blocks, far)
     named = ", ".join(bad[:3]) + (f" and {len(bad) - 3} more" if len(bad) > 3 else "")
     if kinds := {kind: n for kind in READING_KINDS if (n := _count(blocks, far, kind)).too_many}:
-        kind, n = max(kinds.items(), key=lambda pair: (pair[1].outliers / pair[1].count, pair[1].farthest))
+        kind, n = max(kinds.items(), key=lambda pair: (pair[1].outliers / pair[1].readings, pair[1].farthest))
         mostly = f", especially in {named}" if bad else ""
         return Contradiction(LABELS[kind], f"{n}; check {CHECKS[kind]}{mostly}")
     if bad:
@@ -273,7 +261,7 @@ def _unexplained(point: Linearization, kind: str) -> float:
 def outlier_notes(blocks: Sequence[ResidualBlock], outliers: Sequence[tuple[ResidualBlock, float]]) -> list[str]:
     """Return a line for each kind of reading with more outliers than usual."""
     counts = {kind: _count(blocks, outliers, kind) for kind in READING_KINDS}
-    return [f"{LABELS[kind]}: {n}" for kind, n in counts.items() if n.outliers > GROSS_ERROR_RATE * n.count]
+    return [f"{LABELS[kind]}: {n}" for kind, n in counts.items() if n.outliers > GROSS_ERROR_RATE * n.readings]
 
 
 def bad_tests(blocks: Sequence[ResidualBlock], outliers: Sequence[tuple[ResidualBlock, float]]) -> list[str]:
