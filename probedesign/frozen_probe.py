@@ -20,7 +20,7 @@ from probedesign.core.errors import InputError, quoted
 from probedesign.core.files import check_regular, file_in, is_plain_name, write_atomically
 from probedesign.core.frames import Array, is_pose
 from probedesign.design.catalog import Provenance, Quantity
-from probedesign.design.sensors import DEFAULT_SENSOR, NANO17_BODY, Noise
+from probedesign.design.sensors import Noise
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.model import ProbeModel, Tolerances
 from probedesign.geometry import Axis, Flange, ProbeGeometry
@@ -47,8 +47,7 @@ class Field(NamedTuple):
     #: checks the value of the file and returns that of the model; its errors begin after the key. None: the value is
     #: written for people and not read.
     read: Callable[[Any], Any] | None
-    optional: bool = False  #: a file may lack it.
-    default: Any = None  #: value for a file that lacks it.
+    optional: bool = False  #: a file lacks it where it is None.
 
 
 def _array(*shape: int) -> Callable[[Any], Array]:
@@ -138,7 +137,7 @@ _QUANTITY: dict[str, Callable[[Any], Any]] = {"value": NUMBER, "provenance": _re
 FIELDS = (
     Field("name", "name", _read_name),
     Field("fingerprint", "fingerprint", _read_text),
-    Field("parts", "parts", _read_parts, optional=True, default={}),
+    Field("parts", "parts", _read_parts),
     Field("assumptions", "assumptions", _read_texts),
     Field("rod.s_m", "rod.s", _array()),
     Field("rod.radius_m", "rod.radius", _array()),
@@ -183,10 +182,10 @@ FIELDS = (
     Field("sensor.noise_moment_Nm", "noise.moment", POSITIVE),
     Field("sensor.noise_cov", "noise_cov", _read_cov, optional=True),
     Field("sensor.averaging_samples", "averaging_samples", int),
-    Field("sensor.model", "sensor", _read_text, optional=True, default=DEFAULT_SENSOR),
-    Field("sensor.body_d_m", "sensor_d", _number(1e-3, 1.0), optional=True, default=NANO17_BODY[0]),
-    Field("sensor.height_m", "sensor_height", _number(1e-3, 1.0), optional=True, default=NANO17_BODY[1]),
-    Field("material.identified_tests", "identified_tests", _read_texts, optional=True, default=()),
+    Field("sensor.model", "sensor", _read_text),
+    Field("sensor.body_d_m", "sensor_d", _number(1e-3, 1.0)),
+    Field("sensor.height_m", "sensor_height", _number(1e-3, 1.0)),
+    Field("identified_tests", "identified_tests", _read_texts),
 )
 
 
@@ -206,7 +205,6 @@ def freeze(model: ProbeModel) -> dict[str, Any]:
         "frame": "sensor",
         "force_range": model.wrench_range[:3],
         "moment_range": model.wrench_range[3:],
-        "identified_tests": model.identified_tests or None,
         "axis_s": None if model.axis is None else model.axis.s,
         "axis_curvature": None if model.axis is None else model.axis.curvature,
         "noise_cov": None if model.noise.is_isotropic else model.noise.cov,
@@ -359,7 +357,7 @@ def _model_of(data: dict[str, Any]) -> ProbeModel:
         value: Any = data
         for name in field.key.split("."):
             if field.optional and name not in value:
-                value = field.default
+                value = None
                 break
             value = value[name]
         else:

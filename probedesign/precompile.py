@@ -36,10 +36,6 @@ tip_d_mm = 2.0
 """
 
 
-def _rod(probe: "Probe") -> None:
-    probe.solve(gravity_base=(9.81, 0.0, 0.0), s_contact=0.1, force_base=(0.01, 0.0, 0.0))
-
-
 def _sources(probe: "Probe") -> "ErrorSources":
     from probedesign.estimation.error_sources import ErrorSources
 
@@ -56,20 +52,14 @@ def _touches(probe: "Probe") -> None:
 
 def _fit(probe: "Probe") -> None:
     from probedesign.estimation.contact_fit import FIT_SCRATCH
-    from probedesign.estimation.multistart import EVERYWHERE, FIT, MAX_STARTS, fit_contacts
+    from probedesign.estimation.multistart import EVERYWHERE, FIT, MAX_STARTS, fit_contacts, fit_memory
 
     model, sources = probe.model, _sources(probe)
     fit_contacts(
         model.rod.body, model.rod.flank_end, model.gravity_base, model.mass, np.zeros(6), np.zeros((6, 6)), 1.0,
-        *sources.arguments, EVERYWHERE, np.empty(sources.room), np.empty(1, dtype=FIT_SCRATCH),
-        np.empty(MAX_STARTS, dtype=FIT),
+        *sources.arguments, EVERYWHERE, fit_memory(len(model.rod.s), len(sources.names)),
+        np.empty(1, dtype=FIT_SCRATCH), np.empty(MAX_STARTS, dtype=FIT),
     )  # fmt: skip
-
-
-def _detector(probe: "Probe") -> None:
-    from probedesign.estimation.detector import Detector
-
-    Detector(probe.model, 100.0).run(np.zeros((2, 6)))
 
 
 def _live(probe: "Probe") -> None:
@@ -78,10 +68,8 @@ def _live(probe: "Probe") -> None:
     warm_up(probe.estimator(), print, fusing=True)
 
 
-#: What compiles the kernels of one subject, by calling them.
-PARTS: dict[str, Callable[["Probe"], None]] = {
-    "rod": _rod, "fit": _fit, "touches": _touches, "detector": _detector, "live": _live
-}  # fmt: skip
+#: What compiles the kernels of one subject, by calling them; the last one needs all of them.
+PARTS: dict[str, Callable[["Probe"], None]] = {"fit": _fit, "touches": _touches, "live": _live}
 
 
 def main(folder: str, *parts: str) -> None:
@@ -102,7 +90,7 @@ def main(folder: str, *parts: str) -> None:
         environment |= {"NUMBA_CPU_NAME": cache.BASELINE, "NUMBA_CPU_FEATURES": ""}
     began = time.perf_counter()
     command = [sys.executable, "-m", __spec__.name, str(cache.only)]
-    processes = [subprocess.Popen([*command, *shared], env=environment) for shared in (("rod", "live"), *cache.BESIDE)]
+    processes = [subprocess.Popen([*command, *shared], env=environment) for shared in (("live",), *cache.BESIDE)]
     failed = sum(process.wait() != 0 for process in processes)
     if failed:
         raise RuntimeError(f"{failed} of {len(processes)} processes that compile the kernels failed")

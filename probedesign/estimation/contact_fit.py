@@ -90,8 +90,9 @@ class FitMemory(NamedTuple):
     sweep: Array  #: of sweeps, (work_size(parameters),).
     lin: Array  #: linearisation with all parameters of the rod, (ROWS, 1 + UNKNOWNS + parameters).
     D: Array  #: error columns, (12, J).
-    gain: Array  #: gains of a point on the reading, (3 (6 + J),).
+    gain: Array  #: gains of a point on the reading, (3, 6 + J).
     lin_touch: Array  #: linearisation by the touch alone, (ROWS, 1 + UNKNOWNS).
+    room: Array  #: of the trace, (candidates.ROOM + K,).
 
 
 @inner
@@ -219,8 +220,8 @@ def fit_touch(measured, whiten, low, high, max_iterations, touch, sweep_work, li
     Returns:
         What became of it (FITTED, ...), the misfit squared, iterations.
     """
-    before, J, r, H, b = work.before[:], work.J, work.r, work.H, work.b
-    step, move, length = work.step, work.move, measured.body.knots[-1]
+    before, J, r, H, b = work.before[:], work.J, work.r, work.H[:, :], work.b[:]
+    step, move, length = work.step[:], work.move[:], measured.body.knots[-1]
     tol = sweep_tolerance(measured.wrench, whiten)
     least, share, size, failed = math.inf, 1.0, 1.0, 0
     for iteration in range(max_iterations):
@@ -240,7 +241,7 @@ def fit_touch(measured, whiten, low, high, max_iterations, touch, sweep_work, li
             continue
         least = merit
         normal_equations(J, r, H, b)
-        bounded = bounded_step(H, b, work.scale, low, high, touch, step, work.full)
+        bounded = bounded_step(H, b, work.scale[:], low, high, touch, step, work.full[:, :])
         if bounded < 0:
             return LOST, merit, iteration
         gain = 0.0

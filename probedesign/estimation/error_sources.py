@@ -14,7 +14,7 @@ import numpy as np
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array, inverse, wrench_map
 from probedesign.core.units import MM
-from probedesign.estimation import multistart, uncertainty_kernel
+from probedesign.estimation import uncertainty_kernel
 from probedesign.estimation.model import ProbeModel, Tolerances
 from probedesign.rod.equilibrium import Equilibrium
 from probedesign.rod.kernels import surface_contact
@@ -282,11 +282,6 @@ class ErrorSources:
         touch[surface_contact.NORMAL] = NOTHING
         touch[surface_contact.TIP :] = free.tip
         return self.columns_at(touch)[1][:6]
-
-    @cached_property
-    def room(self) -> int:
-        """Return how many numbers the compiled estimate works in."""
-        return multistart.room_for(len(self.model.rod.s), len(self.names))
 
 
 FINE = 5e-7  #: Error of a sweep's step [rad], that of the rod's fast mode.

@@ -81,37 +81,19 @@ class Candidate:
         return None if self.fit is None else np.asarray(self.fit["touch"])
 
     @property
-    def whiten(self) -> Array:
-        """Return the whitening of the reading at this touch, (6, 6); NaN without a fit."""
-        return _nan(6, 6) if self.fit is None else np.asarray(self.fit["whiten"])
-
-    @property
-    def chi2_friction(self) -> float:
-        """Return the part of `chi2` due to the prior on friction; 0 without a fit."""
-        return 0.0 if self.fit is None else float(self.fit["chi2_friction"])
-
-    @property
     def growth(self) -> float:
         """Return the least growth of the misfit beside the place, over that of a normal error; inf without a check."""
         return math.inf if self.fit is None else float(self.fit["growth"])
 
     @property
-    def cov_touch(self) -> Array:
-        """Return the covariance of the five unknowns of the touch, (5, 5); NaN without a fit."""
-        return self._covariance("cov_touch", 5)
-
-    @property
     def cov_linear_base(self) -> Array:
         """Return the covariance of p_surface_base to first order, without the curvature of the probe [m²], (3, 3)."""
-        return self._covariance("cov_linear_surface", 3)
+        return _nan(3, 3) if self.fit is None else np.asarray(self.fit["cov_linear_surface"])
 
     @property
     def cov_linear_contact_base(self) -> Array:
         """Return the covariance of p_contact_base to first order, without the curvature of the probe [m²], (3, 3)."""
-        return self._covariance("cov_linear_centre", 3)
-
-    def _covariance(self, name: str, size: int) -> Array:
-        return _nan(size, size) if self.fit is None else np.asarray(self.fit[name])
+        return _nan(3, 3) if self.fit is None else np.asarray(self.fit["cov_linear_centre"])
 
     @property
     def rms(self) -> float:
@@ -209,11 +191,6 @@ class FusedEstimate(Tabular):
     chi2: float = float("nan")  #: chi2, dof: misfit of all readings and priors, and its degrees of freedom.
     dof: int = 0
     rms: float = float("nan")  #: root of the trace of cov_surface_world [m].
-    #: the same if one group of error sources were gone: "stiffness", "bias" or "robot" [m].
-    rms_without: dict[str, float] = field(default_factory=dict)
-    #: the same with "one more touch" like the last, a "further press" as far again, or the "stiffness" known to half
-    #: its standard deviation [m].
-    rms_with: dict[str, float] = field(default_factory=dict)
     iterations: int = 0  #: of Gauss-Newton.
     #: touched point of every solution that explains the readings about as well, best first [m], (j, 3).
     candidates_world: Array = field(default_factory=lambda: _nan(0, 3))

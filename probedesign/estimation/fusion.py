@@ -32,7 +32,7 @@ from probedesign.estimation.fusion_state import (
 from probedesign.estimation.likelihood import locate
 from probedesign.estimation.model import WALK_SECONDS, Observation, ProbeModel, Tolerances
 from probedesign.estimation.uncertainty_kernel import NODE, TAIL
-from probedesign.rod.kernels.surface_contact import PHI, POINT, TIP, TOUCH, VALUE
+from probedesign.rod.kernels.surface_contact import TOUCH
 
 NEAR = 1e-9  #: Poses whose numbers differ by no more, in metres too, are one.
 STARTS = 3  #: Closest approaches of the curves that a fusion starts from.
@@ -43,13 +43,6 @@ CLOSE = 1e-3  #: Step of the touched point, in standard deviations, at which the
 SETTLED_STEP = 0.03
 #: How far beyond the end of the rod a touch of the tip may lie, in standard deviations of its point.
 PAST_END = 3.0
-#: Groups of error sources whose absence `rms_without` reports, with the priors of exact ones.
-GROUPS: dict[str, dict[str, Any]] = {
-    "stiffness": {"youngs_modulus": 0.0, "shear_modulus": 0.0, "creep": 0.0, "stiffness_scatter": 0.0},
-    "bias": {"drift_steps": 0.0, "walk_steps": 0.0},
-    "robot": {"base_mm": 0.0, "robot_mm": 0.0},
-    "object": {"object_compliance": 0.0},
-}
 #: Standard deviation, over that of the free point, to which `Fusion.curvature` constrains the point.
 CONSTRAINT_STD = 1e-3
 #: Extensions of the offset at which the point is constrained, until the misfit has risen by about three.
@@ -300,13 +293,8 @@ class Fusion:
 
     # The result ------------------------------------------------------------------------------------------------------
 
-    def answer(self, solutions: list[Solution], brief: bool = False) -> FusedEstimate:
-        """Return the best solution with its result code.
-
-        Args:
-            solutions: every one, best first.
-            brief: leave out `rms_without` and `rms_with`.
-        """
+    def answer(self, solutions: list[Solution]) -> FusedEstimate:
+        """Return the best of all solutions, which come best first, with its result code."""
         best = solutions[0]
         state, linear = self.state(best.touches), statistics.rms(best.cov)
         if not state.linearise():
@@ -320,40 +308,8 @@ class Fusion:
         candidates = np.array([rival.x for rival in solutions if rival.chi2 < best.chi2 + RIVAL_CHI2])
         estimate = state.estimate(result, best.chi2, rms, best.iterations, candidates)
         if posterior is not None and estimate.ok:
-            estimate = replace(estimate, **posterior.fields, chi2=posterior.chi2)
-        if brief:
-            return estimate
-        # The bounds below are linear: the curvature is taken to scale with them.
-        scale = rms / linear if linear > 0.0 else 1.0
-        gains = {name: scale * gain for name, gain in self._gains(state).items()} if estimate.ok else {}
-        without = {group: scale * state.rms(replace(self.priors, **exact)) for group, exact in GROUPS.items()}
-        return replace(estimate, rms_without=without, rms_with=gains)
-
-    def _gains(self, state: FusionState) -> dict[str, float]:
-        """Return the RMS error with one more touch like the last, with a further press, or with half the standard
-        deviation of the stiffness [m].
-        """
-        touches = state.touches[self.touched]
-        gains = {"stiffness": state.rms(replace(self.priors, youngs_modulus=0.5 * self.priors.youngs_modulus)),
-                 "one more touch": self._rms_with_another(state, touches[-1])}  # fmt: skip
-        if len(touches) > 1:
-            further = 2.0 * touches[-1] - touches[-2]
-            further[PHI], further[TIP:] = touches[-1, PHI], touches[-1, TIP:]
-            gain = self._rms_with_another(state, further)
-            if math.isfinite(gain):
-                gains["further press"] = gain
-        return gains
-
-    def _rms_with_another(self, state: FusionState, touch: Array) -> float:
-        """Return the RMS error with one more reading, taken from the pose that keeps its touched point [m]."""
-        last = int(np.flatnonzero(self.touched)[-1])
-        fusion = replace(self, readings=(*self.readings, self.readings[last]))
-        extended = fusion.state(np.vstack([state.touches, touch]))
-        if not extended.linearise():
-            return math.nan
-        point, T = slice(POINT, POINT + 3), extended.pose[-1]
-        T[:3, 3] += T[:3, :3] @ (state.lin[last, point, VALUE] - extended.lin[-1, point, VALUE])
-        return statistics.rms(extended.solved()[2])
+            return replace(estimate, **posterior.fields, chi2=posterior.chi2)
+        return estimate
 
     def over_compliance(self, best: Solution) -> Posterior:
         """Return the moments of the points over the compliance c of the object, with their curvature.

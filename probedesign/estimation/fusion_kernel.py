@@ -390,9 +390,11 @@ def solve_reduced(reduced, order, walk, start, stated, chain, work, x, cov):
     o = n * n
     scale, eta = work[o : o + n], work[o + n : o + 2 * n]
     o += 2 * n
-    M, L, inverse = work[o : o + 3 * WALKING * WALKING].reshape((3, WALKING, WALKING))
+    three = work[o : o + 3 * WALKING * WALKING].reshape((3, WALKING, WALKING))
+    M, L, inverse = three[0], three[1], three[2]
     o += 3 * WALKING * WALKING
-    rows, solved = work[o : o + 2 * STATED * n].reshape((2, STATED, n))
+    pair = work[o : o + 2 * STATED * n].reshape((2, STATED, n))
+    rows, solved = pair[0], pair[1]
     for i in range(n):
         eta[i] = 0.0
         for j in range(n):

@@ -50,9 +50,6 @@ CREEP_SECONDS = 10.0  #: Time constant of the creep since the first contact [s].
 #: that is pushed over its support.
 OBJECT_STEP = 1e-3
 MAX_STEP = 0.1  #: Of arclength over length, in one step.
-#: Priors that `FusionState.rms` may change, by the error source whose columns go with them.
-_SCALED = {"E": "youngs_modulus", "G": "shear_modulus", "creep": "creep", "stiffness scatter": "stiffness_scatter",
-           "base place": "base_mm"}  # fmt: skip
 
 
 def channels_of(model: ProbeModel, moments: MomentsAbout | None) -> Array:
@@ -307,15 +304,6 @@ class FusionState:
         L, scale = _factor(self._work.solve, len(self.x))
         half = solve_triangular(L, np.diag(1.0 / scale), lower=True)
         return np.asarray(half[:, POINT_COLUMNS].T @ half[:, np.r_[: self.causes, COMPLIANCE]])
-
-    def rms(self, priors: Tolerances) -> float:
-        """Return the RMS error of the touched point [m] under other priors (Cramér-Rao bound)."""
-        D = self.D.copy()
-        for column, name in enumerate(self.sources[0].names):
-            if name in _SCALED:
-                before = getattr(self.priors, _SCALED[name])
-                D[:, :, column] *= getattr(priors, _SCALED[name]) / before if before > 0.0 else 0.0
-        return statistics.rms(self.solved(priors, D)[2])
 
     def has_moved(self) -> bool:
         """Return whether the object has moved between the readings of a batch.

@@ -16,7 +16,7 @@ from probedesign.core import statistics
 from probedesign.core.frames import Array
 from probedesign.core.statistics import MISFIT_CHANCE, max_chi2
 from probedesign.estimation import multistart
-from probedesign.estimation.contact_fit import AT_END, FIT_SCRATCH, STALLED
+from probedesign.estimation.contact_fit import AT_END, FIT_SCRATCH, STALLED, FitMemory
 from probedesign.estimation.estimate import Candidate
 from probedesign.estimation.force_moment import Problem, touch_at
 from probedesign.estimation.multistart import FIT, MAX_STARTS
@@ -82,8 +82,8 @@ def explains(place: Candidate) -> bool:
     return place.chi2 <= max_chi2(place.dof, MISFIT_CHANCE)
 
 
-#: Memory of fits that have ended, by its size, for the next ones; threads do not share a piece.
-_spare: dict[int, list[tuple[Array, NDArray[Any]]]] = defaultdict(list)
+#: Memory of fits that have ended, by knots and error sources, for the next ones; threads do not share a piece.
+_spare: dict[tuple[int, int], list[tuple[FitMemory, NDArray[Any]]]] = defaultdict(list)
 
 
 def _fit(problem: Problem, near: Array | None) -> NDArray[Any]:
@@ -95,16 +95,18 @@ def _fit(problem: Problem, near: Array | None) -> NDArray[Any]:
 
 
 def _run(problem: Problem, task: int, rows: NDArray[Any]) -> int:
-    model, seen, spare = problem.sources.model, problem.seen, _spare[problem.sources.room]
+    model, seen = problem.sources.model, problem.seen
+    size = len(model.rod.s), len(problem.sources.names)
+    spare = _spare[size]
     try:
-        work, scratch = spare.pop()
+        memory, scratch = spare.pop()
     except IndexError:
-        work, scratch = np.empty(problem.sources.room), np.empty(1, dtype=FIT_SCRATCH)
+        memory, scratch = multistart.fit_memory(*size), np.empty(1, dtype=FIT_SCRATCH)
     count = multistart.fit_contacts(
         model.rod.body, model.rod.flank_end, seen.gravity, model.mass, seen.wrench, problem.noise, problem.friction,
-        *problem.sources.arguments, task, work, scratch, rows,
+        *problem.sources.arguments, task, memory, scratch, rows,
     )  # fmt: skip
-    spare.append((work, scratch))
+    spare.append((memory, scratch))
     return int(count)
 
 

@@ -60,7 +60,6 @@ from probedesign.rod.kernels.surface_contact import (
     plan_move,
     radius_and_slope,
     s_contact,
-    sweep_work_size,
     work_size,
 )
 
@@ -68,14 +67,14 @@ from probedesign.rod.kernels.surface_contact import (
 #: the bounds of the touch there.
 EVERYWHERE, NEAR, BOUNDS = 0, 1, 2
 MAX_STARTS = 8  #: Places that one reading is fitted from at most, the likeliest ones.
-#: One fit: its outcome (FITTED, ...), the touch, squared misfit and the part of it due to friction, change of the base
-#: moment with s over the force, variance of s_contact [m²], covariance of the five unknowns, those of the touched point
-#: and of the centreline point [m²], both to first order alone, force [N], touched point and centreline point [m],
-#: s_contact [m], the reading's whitening, how many sweeps the fit took under the weights of noise and drift and under
-#: all, on a curved probe by how much the misfit grows beside the fit, see `uncertainty_kernel.NODE`, and the bounds of
-#: s_contact that `BOUNDS` fills in [m].
+#: One fit: its outcome (FITTED, ...), the touch, squared misfit, change of the base moment with s over the force,
+#: variance of s_contact [m²], covariance of the five unknowns, those of the touched point and of the centreline point
+#: [m²], both to first order alone, force [N], touched point and centreline point [m], s_contact [m], the reading's
+#: whitening, how many sweeps the fit took under the weights of noise and drift and under all, on a curved probe by how
+#: much the misfit grows beside the fit, see `uncertainty_kernel.NODE`, and the bounds of s_contact that `BOUNDS` fills
+#: in [m].
 FIT = np.dtype([
-    ("status", "f8"), ("touch", "f8", TOUCH), ("chi2", "f8"), ("chi2_friction", "f8"), ("lever", "f8"), ("var_s", "f8"),
+    ("status", "f8"), ("touch", "f8", TOUCH), ("chi2", "f8"), ("lever", "f8"), ("var_s", "f8"),
     ("cov_touch", "f8", (UNKNOWNS, UNKNOWNS)), ("cov_surface", "f8", (3, 3)), ("cov_centre", "f8", (3, 3)),
     ("cov_linear_surface", "f8", (3, 3)), ("cov_linear_centre", "f8", (3, 3)), ("force", "f8", 3),
     ("surface", "f8", 3), ("centre", "f8", 3), ("s_contact", "f8"), ("whiten", "f8", (6, 6)), ("sweeps", "f8", 2),
@@ -98,12 +97,13 @@ SLOW = 0.5
 MAX_FRICTION = 3.0  #: Ratio of friction that the trace allows for where the direction of the force is free.
 
 
-def room_for(knots: int, causes: int) -> int:
-    """Return how many numbers `fit_contacts` works in, by knots of the rod and columns of error sources."""
+def fit_memory(knots: int, causes: int) -> FitMemory:
+    """Return what `fit_contacts` works in, by knots of the rod and columns of error sources."""
     parameters = OWN + knots
-    return (
-        max(work_size(0), work_size(parameters)) + ROWS * (2 + 2 * UNKNOWNS + parameters) + candidates.ROOM + knots + 1
-        + 12 * causes + 3 * (6 + causes)
+    return FitMemory(
+        np.empty(max(work_size(0), work_size(parameters))), np.empty((ROWS, 1 + UNKNOWNS + parameters)),
+        np.empty((12, causes)), np.empty((3, 6 + causes)), np.empty((ROWS, 1 + UNKNOWNS)),
+        np.empty(candidates.ROOM + knots),
     )  # fmt: skip
 
 
@@ -145,9 +145,10 @@ def _settle(measured, noise, sources, touch, memory, work, row):
         What became of the fit: FITTED, AT_END, STALLED or LOST.
     """
     parameters, body, lin = sources.rod.shape[1] + 3, measured.body, memory.lin
-    J, r, H, b, step = work.J, work.r, work.H, work.b, work.step
-    move, before, white, row.growth = work.move, work.before[:], row.whiten, math.inf
-    if not whitening(noise, work.factor, white):
+    J, r, H, b, step = work.J, work.r, work.H[:, :], work.b[:], work.step[:]
+    move, before, white, row.growth = work.move[:], work.before[:], row.whiten[:, :], math.inf
+    cov, factor = work.cov[:, :], work.factor[:, :]
+    if not whitening(noise, factor, white):
         return LOST
     tol, size, rounds, small = sweep_tolerance(measured.wrench, white), 1.0, 0, False
     chi2, gain, share, bounded, last_gain = 0.0, 0.0, 1.0, 0, math.inf
@@ -159,12 +160,12 @@ def _settle(measured, noise, sources, touch, memory, work, row):
         if code != OK or not lack < math.inf or not margin > 0.0:
             return LOST
         error_columns(body, measured.gravity, lin, sources, memory.D)
-        measurement_covariance(noise, memory.D, work.cov)
-        if not whitening(work.cov, work.factor, white):
+        measurement_covariance(noise, memory.D, cov)
+        if not whitening(cov, factor, white):
             return LOST
         chi2 = residuals(lin, touch, measured.wrench, white, measured.friction, J, r)
         normal_equations(J, r, H, b)
-        bounded = bounded_step(H, b, work.scale, 0.0, measured.end, touch, step, work.full)
+        bounded = bounded_step(H, b, work.scale[:], 0.0, measured.end, touch, step, work.full[:, :])
         if bounded < 0 or not math.isfinite(chi2):
             return LOST
         gain = 0.0
@@ -182,7 +183,6 @@ def _settle(measured, noise, sources, touch, memory, work, row):
     row.sweeps[1] = rounds
     _fill_row(measured, lin, touch, share, step, work.by_s, row)
     row.chi2 = chi2 - gain if small and not bounded else chi2
-    row.chi2_friction = r[6] * r[6] + r[7] * r[7]
     if not posterior(lin, touch, J, white, memory.D, work.by_s, work, memory.gain, row):
         return LOST
     if not small:
@@ -232,7 +232,7 @@ def _profile_bounds(measured, memory, work, row):
                     moved[q] *= moved[S] / s
             moved[S] = s
             status, chi2, _n = fit_touch(
-                measured, row.whiten, s, s, MAX_ITERATIONS, moved, memory.sweep, memory.lin_touch, work
+                measured, row.whiten[:, :], s, s, MAX_ITERATIONS, moved, memory.sweep, memory.lin_touch, work
             )
             growth = math.sqrt(max(chi2 - row.chi2, 0.0))
             if status in (FITTED, AT_END) and growth > LIMIT + PROFILE_CLOSE:
@@ -259,7 +259,7 @@ def _profile_bounds(measured, memory, work, row):
 @kernel
 def fit_contacts(
     body, end, gravity, mass, wrench, noise, friction, rod, base, root, gain, payload_by_gravity, sensor_from_base,
-    base_from_sensor, reference, tared, task, work, scratch, rows,
+    base_from_sensor, reference, tared, task, memory, scratch, rows,
 ):  # fmt: skip
     """Fit touches from one guess or from every candidate of the trace, the likeliest first, or evaluate bounds of one.
 
@@ -271,7 +271,7 @@ def fit_contacts(
         friction: prior standard deviation of the friction ratio; inf: the direction is free.
         rod, ... tared: the error sources, see `SourceArrays`; as arguments of their own they reach the kernel faster.
         task: EVERYWHERE, NEAR or BOUNDS.
-        work: scratch, (room_for(knots, J),); scratch: FIT_SCRATCH, (1,).
+        memory: scratch, `FitMemory`; scratch: FIT_SCRATCH, (1,).
         rows: filled, FIT, (MAX_STARTS,).
 
     Returns:
@@ -281,17 +281,7 @@ def fit_contacts(
     sources = SourceArrays(
         rod, base, root, gain, payload_by_gravity, sensor_from_base, base_from_sensor, reference, tared
     )
-    parameters, J = rod.shape[1] + 3, tared.shape[1]
-    a = max(sweep_work_size(0), sweep_work_size(parameters))
-    b = a + ROWS * (1 + UNKNOWNS + parameters)
-    c = b + 12 * J
-    d = c + 3 * (6 + J)
-    e = d + ROWS * (1 + UNKNOWNS)
-    memory = FitMemory(
-        work[:a], work[a:b].reshape((ROWS, 1 + UNKNOWNS + parameters)), work[b:c].reshape((12, J)), work[c:d],
-        work[d:e].reshape((ROWS, 1 + UNKNOWNS)),
-    )  # fmt: skip
-    room, fit_work = work[e:], scratch[0]
+    room, fit_work = memory.room, scratch[0]
     if task == BOUNDS:
         _profile_bounds(measured, memory, fit_work, rows[0])
         return 1
@@ -300,8 +290,8 @@ def fit_contacts(
         row.sweeps[0] = 0
         row.status = _settle(measured, noise, sources, row.touch[:], memory, fit_work, row)
         return int(row.status != LOST)
-    narrow = fit_work.noise_whiten
-    if not whitening(noise, fit_work.factor, narrow):
+    narrow = fit_work.noise_whiten[:, :]
+    if not whitening(noise, fit_work.factor[:, :], narrow):
         return 0
     g, fitted = take(gravity, 0), 0
     force = minus(take(wrench, 0), times(mass, g))

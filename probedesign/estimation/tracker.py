@@ -415,7 +415,7 @@ class Tracker:
         solutions = fusion.solutions()
         if isinstance(solutions, FusedEstimate):
             return solutions
-        result = fusion.answer(solutions, brief=True)
+        result = fusion.answer(solutions)
         return self._settle(touch, list(solutions[0].touches)) if result.ok else result
 
     def _settle(self, touch: _Touch, guesses: list[Array]) -> FusedEstimate:

@@ -213,17 +213,16 @@ def _point_covariance(row, lin, J, whiten, D, C, W6, out):
 
 
 @inner
-def posterior(lin, touch, J, whiten, D, by_s, work, gain, fit):
+def posterior(lin, touch, J, whiten, D, by_s, work, W6, fit):
     """Fill in the covariances of a fitted touch to first order; return whether they exist.
 
     Args:
         J: residuals' derivatives by the touch, (8, 5).
         by_s: of s_contact by the touch, (5,).
-        work: scratch, FIT_SCRATCH; gain: scratch, (3 (6 + columns of D),).
+        work: scratch, FIT_SCRATCH; W6: scratch, (3, 6 + columns of D).
         fit: filled, `multistart.FIT`.
     """
-    W6 = gain[: 3 * (6 + D.shape[1])].reshape((3, 6 + D.shape[1]))
-    H, rows, C = work.H, work.identity, fit.cov_touch
+    H, rows, C, scale = work.H[:, :], work.identity[:, :], fit.cov_touch[:, :], work.scale[:]
     information(J, H)
     for u in range(UNKNOWNS):
         for v in range(UNKNOWNS):
@@ -233,9 +232,9 @@ def posterior(lin, touch, J, whiten, D, by_s, work, gain, fit):
     for q in range(3):
         lever += lin[WRENCH + 3 + q, BY_TOUCH + S] ** 2
     fit.lever = math.sqrt(lever / max(force, 1e-300))
-    if not scale_and_factor(H, UNKNOWNS, work.scale):
+    if not scale_and_factor(H, UNKNOWNS, scale):
         return False
-    covariance_of(H, UNKNOWNS, work.scale, rows, UNKNOWNS, work.solved, C)
+    covariance_of(H, UNKNOWNS, scale, rows, UNKNOWNS, work.solved[:, :], C)
     total = 0.0
     for u in range(UNKNOWNS):
         for v in range(UNKNOWNS):
@@ -354,8 +353,8 @@ def _offsets_beside(measured, whiten, tol, touch, lin, chi2, valley, side, memor
         By how much the misfit grows to there, over 3, as for a normal posterior; inf where the node is far off because
         of the end of the probe or of the force; NaN where there is no equilibrium.
     """
-    at, J, r, H, b, lin_at = work.at[:], work.beside, work.r, work.H, work.b, memory.lin_touch
-    scale, move, change = work.scale, work.move, work.change
+    at, J, r, H, b, lin_at = work.at[:], work.beside, work.r, work.H[:, :], work.b[:], memory.lin_touch
+    scale, move, change = work.scale[:], work.move[:], work.change[:]
     for i in range(UNKNOWNS):
         change[i] = NODE * valley.change[i] if side else -NODE * valley.change[i]
     share = _share_within(touch, measured.end, change)
@@ -421,7 +420,7 @@ def add_curvature(measured, whiten, tol, touch, lin, J, memory, work, fit):
         fit: `multistart.FIT`, added to.
     """
     of_point, of_centre, offsets, body = work.valley[0], work.valley[1], work.offsets, measured.body
-    C, evaluated, around = fit.cov_touch, 0, (0.0, 0.0, 0.0)
+    C, evaluated, around = fit.cov_touch[:, :], 0, (0.0, 0.0, 0.0)
     at = outline_at(body, 0.0, touch[PHI])
     by_phi = body.constants[FLATNESS] / (at.reach * at.reach)
     for point in range(2):

@@ -204,7 +204,7 @@ def locate_touch(
     solutions = fusion.solutions()
     if isinstance(solutions, FusedEstimate):
         return LocatedTouch(segment, solutions.result)
-    fused = fusion.answer(solutions, brief=True)
+    fused = fusion.answer(solutions)
     if not fused.ok:
         return LocatedTouch(segment, fused.result)
     state = fusion.state(solutions[0].touches)

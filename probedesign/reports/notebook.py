@@ -303,8 +303,6 @@ def _(fused: FusedEstimate) -> Summary:
         ("RMS error of it", f"{fused.rms / MM:.3g} mm"),
         ("factor on E", f"{fused.stiffness:.3f} ± {fused.std_stiffness:.2g}"),
         ("χ²", f"{fused.chi2:.3g}, {fused.dof} degrees of freedom"),
-        *((f"RMS error without the error of {name}", f"{rms / MM:.3g} mm") for name, rms in fused.rms_without.items()),
-        *((f"RMS error with {name}", f"{rms / MM:.3g} mm") for name, rms in fused.rms_with.items()),
     ]
     return Summary("fused touches of one point", rows)
 

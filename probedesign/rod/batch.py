@@ -1,7 +1,7 @@
 """Solve many equilibria at once: rods and loads as arrays, results as arrays, on all cores."""
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
 from probedesign.rod.kernels.equations import DENSITY, LOAD, OK, Body
-from probedesign.rod.kernels.newton import COLD, SOLUTION, WARM, WARM_ONLY, scratch_buffers, solve_cases
+from probedesign.rod.kernels.newton import COLD, SOLUTION, scratch_buffers, solve_cases
 from probedesign.rod.rod import RESULTS, TOLERANCES, Columns, Mode, Rod
 
 #: Cases per task of a thread: a few milliseconds, so that interrupts are handled and all cores finish together.
@@ -54,10 +54,7 @@ def solve_batch(
     which: ArrayLike | None = None,
     mode: Mode = "fast",
     columns: Columns = "none",
-    guess: ArrayLike | None = None,
-    guess_only: bool = False,
     threads: int | None = None,
-    progress: Callable[[int], object] | None = None,
 ) -> Batch:
     """Solve for the equilibria of n cases, each as `Rod.solve` does from no load.
 
@@ -72,10 +69,7 @@ def solve_batch(
         which: index of each case's rod, (n,); case i has rods[i] if None.
         mode: "fast" or "reference".
         columns: parameters of the sensitivities, as in `Rod.solve`.
-        guess: `tip` of a neighbouring equilibrium of each case, (n, 6), tried first.
-        guess_only: return without a solution where the guess fails, instead of starting from no load.
         threads: all cores if None.
-        progress: called with the number of cases just solved.
 
     Returns:
         The equilibria.
@@ -92,35 +86,23 @@ def solve_batch(
     bodies = Body(*(np.ascontiguousarray(np.stack(rows)) for rows in arrays))
     n, k = len(loads), several[0].columns_of(columns)
     solutions, derivatives = np.empty(n, dtype=SOLUTION), np.full((n, 15, k + 1), np.nan)
-    start = COLD
-    if guess is not None:
-        start = WARM_ONLY if guess_only else WARM
-        solutions["tip"] = np.asarray(guess, dtype=float)
     threads = threads or len(os.sched_getaffinity(0))
     chunk = min(CHUNK, max(-(-n // threads), MIN_CHUNK))
 
     def run(first: int) -> None:
         last = min(first + chunk, n)
         solve_cases(
-            first, last, bodies, of, loads, start, False, *TOLERANCES[mode], scratch_buffers(k, 0), solutions,
+            first, last, bodies, of, loads, COLD, False, *TOLERANCES[mode], scratch_buffers(k, 0), solutions,
             derivatives,
         )  # fmt: skip
-        if progress is not None:
-            progress(last - first)
 
-    firsts = iter(range(0, n, chunk))
-    for first in firsts:
-        run(first)
-        if threads > 1:
-            break  # this thread has compiled the kernels if that was necessary
-    if n > chunk and threads > 1:
-        with ThreadPoolExecutor(threads) as pool:
-            try:
-                for _ in pool.map(run, firsts):
-                    pass
-            except BaseException:
-                pool.shutdown(wait=True, cancel_futures=True)
-                raise
+    run(0)  # this thread compiles the kernels if that is necessary
+    with ThreadPoolExecutor(threads) as pool:
+        try:
+            list(pool.map(run, range(chunk, n, chunk)))
+        except BaseException:
+            pool.shutdown(wait=True, cancel_futures=True)
+            raise
     return _batch(solutions, derivatives, loads, bodies, of)
 
 

@@ -349,16 +349,12 @@ def test_free_readings_tie_the_bias_down(large, gravity, pressed):
     assert Estimator(large.model, EXACT).fuse(readings, poses, gravity, touched=touched).result == "inconsistent"
 
 
-def test_what_is_uncertain_is_counted_and_named(large, gravity, pressed):
+def test_what_is_uncertain_is_counted(large, gravity, pressed):
     touches, Ts = pressed
     wrenches = wrenches_of(touches)
     exact, vague = (e.fuse(wrenches, Ts, gravity) for e in (Estimator(large.model, EXACT), large.estimator()))
     assert vague.rms > exact.rms
     assert vague.rms == pytest.approx(math.sqrt(np.trace(vague.cov_surface_world)), rel=1e-6)
-    assert set(vague.rms_without) == {"stiffness", "bias", "robot", "object"}
-    assert all(exact.rms <= rms <= vague.rms for rms in vague.rms_without.values())
-    assert set(vague.rms_with) == {"one more touch", "further press", "stiffness"}
-    assert all(rms <= vague.rms for rms in vague.rms_with.values())
     for more in ({"creep": 0.05}, {"stiffness_scatter": 0.05}, {"tilt_deg": 1.0}, {"robot_mm": 0.5}):
         priors = replace(large.estimator().priors, **more)
         assert large.estimator().fuse(wrenches, Ts, gravity, priors=priors).rms > vague.rms, more

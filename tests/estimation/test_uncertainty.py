@@ -61,11 +61,11 @@ def test_the_linear_covariance_is_that_of_the_formula(touch, tolerances, frictio
     assert c.lever == pytest.approx(np.linalg.norm(H[3:, 0]) / size, rel=1e-2)
     sigma = reading_covariance(noise, D[:6])
     np.testing.assert_allclose(
-        np.trace(c.whiten @ sigma @ c.whiten.T), 6.0, rtol=2e-3 if tolerances != "exact" else 1e-9
+        np.trace(c.fit["whiten"] @ sigma @ c.fit["whiten"].T), 6.0, rtol=2e-3 if tolerances != "exact" else 1e-9
     )
     C = inverse(information(H, sigma, friction))
     # A last step of a thirtieth of a standard deviation is taken after the covariance.
-    np.testing.assert_allclose(np.diag(c.cov_touch), np.diag(C), rtol=5e-2)
+    np.testing.assert_allclose(np.diag(c.fit["cov_touch"]), np.diag(C), rtol=5e-2)
 
 
 # Bounds of single touches, large probe, gravity across: Cramér–Rao bounds [mm] by finite differences of a rod of their

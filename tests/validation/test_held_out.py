@@ -129,7 +129,7 @@ def test_from_identify_to_validate_by_the_commands(folder, tmp_path, monkeypatch
     served = load_design(tmp_path / "found.toml").material.identified_tests
     assert len(served) == 6  # two hangs, four touches
     assert run(["deploy", "found.toml", "--out", "found.probe.json"]) == 0
-    assert json.loads((tmp_path / "found.probe.json").read_text())["material"]["identified_tests"] == list(served)
+    assert json.loads((tmp_path / "found.probe.json").read_text())["identified_tests"] == list(served)
     capsys.readouterr()
     assert run(["validate", "found.probe.json", str(folder), "--json", "--out", "v"]) == 0
     document = json.loads(capsys.readouterr().out)

@@ -209,7 +209,7 @@ def _lock(file: Path) -> Any:
 
 
 #: Parts of `precompile` for each of the processes that compile beside the first one, which compiles the rod.
-BESIDE = ("fit",), ("touches", "detector")
+BESIDE = ("fit",), ("touches",)
 
 
 @cache

@@ -206,7 +206,7 @@ def _newton(case, body, tol, until, reach):
         if not math.isfinite(angle):
             return False
         # At most 1 rad: beyond, the linearisation does not hold for the direction either.
-        turn_tip(case.tip, times(min(1.0, 1.0 / max(angle, 1e-300)), turn))
+        turn_tip(case.tip[:], times(min(1.0, 1.0 / max(angle, 1e-300)), turn))
         if iteration == 0 and reach < 0.0:
             for q in range(6):
                 case.guess[q] = case.tip[q]
@@ -219,7 +219,7 @@ def _newton(case, body, tol, until, reach):
         if angle < until and clamped:
             case.margin = margin
             case.turned = max(turned, min(angle, 1.0))
-            stable = margin > 0.0 or not is_judged(case.load)
+            stable = margin > 0.0 or not is_judged(case.load[:])
             case.status = OK if stable else UNSTABLE
             return stable
         # A thousandth of the tolerance: the iteration has converged, but clamps the base the other way round.
@@ -256,7 +256,7 @@ def _extrapolate(case, goal, last, second, third):
     tips = case.path_tips
     t = add(add(times(w0, take(tips, 0)), w1, take(tips, 6)), w2, take(tips, 12))
     d = add(add(times(w0, take(tips, 3)), w1, take(tips, 9)), w2, take(tips, 15))
-    put_section(case.tip, t, d)
+    put_section(case.tip[:], t, d)
 
 
 @inner
@@ -293,7 +293,7 @@ def _follow_path(case, body, tol, moment_first):
 @inner
 def _from_no_load(case, body, tol, careful):
     """Follow the path from the straight rod, or from its shape at rest; return whether the tip is NEAR."""
-    judged = is_judged(case.whole_load)
+    judged = is_judged(case.whole_load[:])
     put(case.tip, 0, (0.0, 0.0, 1.0))
     put(case.tip, 3, (1.0, 0.0, 0.0))
     if body.constants[GENERAL] != 0.0:
@@ -355,7 +355,7 @@ def polish(case, body, tol, until, near_enough):
         t, d = take(case.y, T), take(case.y, D)
         r = misfit(t, d, general)
         residual = case.residual = math.sqrt(dot(r, r))
-        unsure = is_judged(case.whole_load) and case.margin < SAFE_MARGIN  # of the sweeps of the path
+        unsure = is_judged(case.whole_load[:]) and case.margin < SAFE_MARGIN  # of the sweeps of the path
         if is_clamped(t, d, general, max(until * size, ROUNDING * case.growth)):
             case.status = OK
             if unsure:
@@ -368,7 +368,7 @@ def polish(case, body, tol, until, near_enough):
                 return
             before = math.inf
             continue
-        turn_tip(case.tip, target_rotation(t, d, general, case.inverse))
+        turn_tip(case.tip[:], target_rotation(t, d, general, case.inverse))
         if residual < near_enough * size and not unsure:
             case.status = OK
             return
@@ -450,7 +450,7 @@ def _report(case, scratch, body, load, tol, until):
         if is_clamped(t, d, general, max(max(until, tol) * size, ROUNDING * growth)):
             case.status = OK if case.margin > 0.0 or not is_judged(load) else UNSTABLE
             return count
-        turn_tip(case.tip, target_rotation(t, d, general, case.inverse))
+        turn_tip(case.tip[:], target_rotation(t, d, general, case.inverse))
     case.status = NOT_CONVERGED
     return 0
 

@@ -105,12 +105,6 @@ def work_size(parameters: int) -> int:
 
 
 @inner
-def sweep_work_size(parameters):
-    """Return `work_size` to kernels."""
-    return _sizes_kernel(parameters)[4]
-
-
-@inner
 def _memory(parameters, work):
     k, n, blocks, contact, _whole = _sizes_kernel(parameters)
     load, work = work[:LOAD], work[LOAD:]
