@@ -76,15 +76,16 @@ def choose_averaging(time: Array, wrench_sensor: Array, model: ProbeModel) -> Av
     most = model.averaging_samples
     step = float(np.median(np.diff(time))) if len(time) > 1 else math.inf
     rate = 1.0 / step if step > 0.0 else math.inf
-    by_rate = most if rate > MAX_MEAN_RATE else 1
+    n = most if rate > MAX_MEAN_RATE else 1
+    by_rate = Averaging(n, f"{rate:.4g} readings/s", n * step)
     if most == 1 or len(time) < MIN_READINGS:
-        return Averaging(by_rate, f"{rate:.4g} readings/s", by_rate * step)
+        return by_rate
     bends = second_differences(wrench_sensor, model.noise.std)
     power = float((bends * bends).sum())
     variance = float(np.median(bends * bends)) / MEDIAN
     white = power > 0.0 and float((bends[1:] * bends[:-1]).sum()) < WHITE * power
     if not white or not variance > 0.0:
-        return Averaging(by_rate, f"{rate:.4g} readings/s", by_rate * step)
+        return by_rate
     if variance > most * NEAR:
         times = math.sqrt(variance / most)
         return Averaging(most, f"the readings scatter by {times:.2g} times the noise of single samples", most * step)

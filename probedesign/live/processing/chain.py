@@ -195,7 +195,7 @@ class Chain:
             self.scheduler.max_age = min(burst, MAX_BURST)
         if self._periods is not None:
             for raw in self._periods.add(block):
-                (_, reading), fault, _ = self._raw.check(raw)
+                (_, reading), fault = self._raw.check(raw)
                 mean = Block(np.array([reading.time]), reading.wrench_sensor[None], reading.gravity_base,
                              np.array([reading.received]), reading.fault or fault, reading.stretch)  # fmt: skip
                 self._waiting.extend(self.averager.add(mean))

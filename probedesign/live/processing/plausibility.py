@@ -85,8 +85,8 @@ class SignalMonitor:
             self._stretch, self._in_window = block.stretch, 0
             self._next_noise, self._next_count = math.inf, MIN_NOISE_READINGS
             self._window.clear()
-        batch, fault, saturated = self.screen.check(batch)
-        if saturated:
+        batch, fault = self.screen.check(batch)
+        if fault:
             return batch, fault
         # The noise of a channel is a median, in which spikes do not count.
         rows = (block if self._rate >= MIN_NOISE_RATE else batch.block).wrench_sensor
@@ -99,7 +99,7 @@ class SignalMonitor:
         if self._in_window >= self._next_count or now >= self._next_noise:  # twice as many as before, or periodically
             self._next_noise, self._next_count = now + NOISE_PERIOD, 2 * self._in_window
             self._noise_fault = self._noise_of(np.concatenate(self._window))
-        return batch, fault or self._noise_fault
+        return batch, self._noise_fault
 
     def _noise_of(self, rows: Array) -> str:
         """Return the fault of the noise of readings (n, 6), by second differences, which no slow signal shows in."""

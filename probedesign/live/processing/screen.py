@@ -144,8 +144,8 @@ class SampleScreen:
             self._noted = time, self.spikes
             log(f"{time:.2f} s: {self.spikes} samples so far leapt and returned at once: spikes, which do not count")
 
-    def check(self, batch: AveragedBatch) -> tuple[AveragedBatch, str, bool]:
-        """Return a batch without spikes, its fault, and whether that is saturation."""
+    def check(self, batch: AveragedBatch) -> tuple[AveragedBatch, str]:
+        """Return a batch without spikes, and its fault."""
         rows, time = batch.block.wrench_sensor, batch.block.time
         clean, frozen = self.screened(time, rows)
         if clean is not rows:
@@ -153,18 +153,17 @@ class SampleScreen:
             batch = AveragedBatch(replace(batch.block, wrench_sensor=clean.copy()), reading)
         if (beyond := ~(np.abs(rows) <= self._limit)).any():
             i, c = np.argwhere(beyond)[0]
-            return batch, f"{CHANNELS[c]} is at its limit or not a number: {rows[i, c]:.4g}", True
+            return batch, f"{CHANNELS[c]} is at its limit or not a number: {rows[i, c]:.4g}"
         if frozen >= FROZEN_READINGS:
-            return batch, f"frozen: {frozen} readings in a row are identical", False
+            return batch, f"frozen: {frozen} readings in a row are identical"
         run = self._channels[RUN]
         if run.max() >= DEAD_READINGS or self._stuck.max() >= STUCK:
             lasting = float(time[-1]) - self._channels[SINCE]
             dead = ((lasting >= DEAD_TIME) & (run >= DEAD_READINGS)) | (self._stuck >= STUCK)
             if dead.any():
                 c = int(np.argmax(dead))
-                fault = f"{CHANNELS[c]} has not changed for {lasting[c]:.3g} s: dead, or rounded too coarsely"
-                return batch, fault, False
-        return batch, "", False
+                return batch, f"{CHANNELS[c]} has not changed for {lasting[c]:.3g} s: dead, or rounded too coarsely"
+        return batch, ""
 
     def screened(self, time: Array, rows: Array) -> tuple[Array, int]:
         """Return samples (n, 6) at their times [s] without spikes, and the third result of `screen`.
