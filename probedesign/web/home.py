@@ -148,14 +148,16 @@ def write_home(
         prediction = {}
     cards = "".join(_card(step, words, file, record, picture, model) for step, file, record, picture in made)
     waiting = f'<p class="small" role="status">being made: {escape(working)} ...</p>' if working else ""
-    figures = "".join(
-        f'<p class="number"><b>{value}</b>{escape(meaning)}</p>' for value, meaning in _numbers(prediction)
-    )
+    try:
+        numbers, errors = _numbers(prediction), _errors(prediction)
+    except (KeyError, TypeError, ValueError):  # there is none, or one of another version
+        numbers, errors = [], {}
+    figures = "".join(f'<p class="number"><b>{value}</b>{escape(meaning)}</p>' for value, meaning in numbers)
     notes = f'<p class="small">Assumed until measured: {escape(assumed_text(model.assumptions))}.</p>'
     mount: list[RigidPart] = []
     with suppress(InputError):
         mount = adapters(load_design(design), model) if design else []
-    scene = _scene(folder, model, prediction, mount)
+    scene = _scene(folder, model, errors, mount)
     body = (f'<div class="hero">{scene}<div>{figures}{notes}</div></div>{waiting}{extra}'
             f'<div class="cards">{cards}</div>')  # fmt: skip
     about = [f"Geometry {model.fingerprint} · {escape(model.resin or 'unknown resin')} · {escape(model.sensor)} · "
@@ -231,31 +233,26 @@ def _identified(record: dict[str, Any]) -> str:
 
 def _numbers(prediction: dict[str, Any]) -> list[tuple[str, str]]:
     """Return the three main figures of a prediction with their meaning; fewer where nothing is located."""
-    try:
-        felt = [row["detectable_force_mN"] for row in prediction["detection"] if row["detectable_force_mN"] is not None]
-        fused = prediction["fused_headline"]
-        single = _errors(prediction, SHOWN_N)
-        fraction = fused["contact_fraction"]
-        numbers = []
-        if felt:
-            numbers.append((f"{min(felt):.2g} mN", "is the lightest touch that is felt, at the most sensitive place."))
-        if fused["predicted_error_mm"] is not None:
-            numbers.append((f"{fused['predicted_error_mm']:.2g} mm",
-                            f"RMS error of {fused['touches']} fused touches of up to {1e3 * fused['force_N']:g} mN, at "
-                            f"{fraction:g} of the length."))  # fmt: skip
-        if single.get(fraction) is not None:
-            numbers.append((f"{single[fraction]:.2g} mm",
-                            f"RMS error of one reading of {1e3 * SHOWN_N:g} mN there, worst direction."))  # fmt: skip
-    except (KeyError, TypeError, ValueError):
-        return []
+    felt = [row["detectable_force_mN"] for row in prediction["detection"] if row["detectable_force_mN"] is not None]
+    fused, single, numbers = prediction["fused_headline"], _errors(prediction), list[tuple[str, str]]()
+    fraction = fused["contact_fraction"]
+    if felt:
+        numbers.append((f"{min(felt):.2g} mN", "is the lightest touch that is felt, at the most sensitive place."))
+    if fused["predicted_error_mm"] is not None:
+        numbers.append((f"{fused['predicted_error_mm']:.2g} mm",
+                        f"RMS error of {fused['touches']} fused touches of up to {1e3 * fused['force_N']:g} mN, at "
+                        f"{fraction:g} of the length."))  # fmt: skip
+    if single.get(fraction) is not None:
+        numbers.append((f"{single[fraction]:.2g} mm",
+                        f"RMS error of one reading of {1e3 * SHOWN_N:g} mN there, worst direction."))  # fmt: skip
     return numbers
 
 
-def _errors(prediction: dict[str, Any], force_N: float) -> dict[float, float | None]:
-    """Return the largest predicted error [mm] of one reading of a force by place; None where one is not located."""
+def _errors(prediction: dict[str, Any]) -> dict[float, float | None]:
+    """Return the largest predicted error [mm] of one reading of `SHOWN_N` by place; None where one is not located."""
     errors = dict[float, float | None]()
     for row in prediction["conditions"]:
-        if row["force_N"] == force_N:
+        if row["force_N"] == SHOWN_N:
             error = row["predicted_error_mm"] if row["result"] == "ok" else None
             before = errors.get(row["contact_fraction"], 0.0)
             errors[row["contact_fraction"]] = None if error is None or before is None else max(error, before)
@@ -281,8 +278,8 @@ def adapters(design: Design, model: ProbeModel) -> list[RigidPart]:
     return [revolved("sensor_adapter", outline, T), revolved("clamp_ring", ring, np.eye(4)), flange_adapter]
 
 
-def _scene(folder: Path, model: ProbeModel, prediction: dict[str, Any], mount: Sequence[RigidPart]) -> str:
-    """Return the element with the probe and its parts, as mounted and unloaded, coloured by the predicted error.
+def _scene(folder: Path, model: ProbeModel, errors: dict[float, float | None], mount: Sequence[RigidPart]) -> str:
+    """Return the element with the probe and its parts, as mounted and unloaded, coloured by the predicted errors.
 
     The adapters of `mount` are drawn until there are exported ones.
     """
@@ -293,10 +290,6 @@ def _scene(folder: Path, model: ProbeModel, prediction: dict[str, Any], mount: S
     T = axis.frames(s)
     upright = level_rotation(model.gravity_base)
     points = tube.vertices(BentShape(s, T[:, :3, 3], T[:, :3, :3])) @ upright.T
-    try:
-        errors = _errors(prediction, SHOWN_N) if prediction else {}
-    except (KeyError, TypeError, ValueError):
-        errors = {}
     parts, note = rigid_parts(model, folder, mount)
     colours = _colours(errors, tube) if errors else None
     meshes: list[tuple[Array, Any, tuple[int, int, int], Any]] = [(points, tube.faces, PROBE, colours)]

@@ -265,7 +265,9 @@ class FakeFranky:
 
     def CartesianVelocityMotion(self, target, duration):
         assert isinstance(target, tuple)
-        return SimpleNamespace(kind="move", steps=duration, callbacks=[])
+        motion = SimpleNamespace(kind="move", steps=duration, callbacks=[])
+        motion.register_callback = motion.callbacks.append
+        return motion
 
     def CartesianVelocityStopMotion(self):
         return SimpleNamespace(kind="stop", steps=0)
@@ -298,14 +300,6 @@ def test_the_example_for_franka_stops_in_the_callback(monkeypatch, event):
     franka, receive = module("franka_guard", monkeypatch), module("receive_guard", monkeypatch)
     monkeypatch.setattr(receive, "SILENCE", 5.0)
     guard, robot = receive.GuardEvents(0), FakeFranky()
-    motion = robot.CartesianVelocityMotion
-
-    def with_callbacks(*arguments):
-        made = motion(*arguments)
-        made.register_callback = made.callbacks.append
-        return made
-
-    robot.CartesianVelocityMotion = with_callbacks
     assert franka.move_guarded(robot, robot, guard) == "no event of the guard" and not robot.started
     events = Events(guard.port)
     events.send()

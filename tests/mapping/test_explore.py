@@ -84,27 +84,18 @@ def test_the_simulated_touches_are_light_and_clear_of_the_cards(house):
         assert touch.clearance > -0.1 * MM  # at the edge itself it is none; the chord's sag is that
 
 
-def test_ply_opens_in_trimesh_with_colours(found):
-    out, rows = found
+def test_ply_json_page_and_picture_have_the_points_of_the_table(explored, found):
+    (out, rows), (_, document) = found, explored
     cloud = trimesh.load(out / "points.ply")
     assert cloud.vertices == pytest.approx(np.array([place(row) for row in rows]), abs=1e-3)
-    assert cloud.colors.shape == (len(rows), 4)
-    assert "rms_mm" in (out / "points.ply").read_text()
-
-
-def test_page_and_picture_need_no_network(found):
-    out, rows = found
+    assert cloud.colors.shape == (len(rows), 4) and "rms_mm" in (out / "points.ply").read_text()
+    assert [point["x_world_mm"] for point in document["points"]] == pytest.approx([place(row)[0] for row in rows])
+    assert document["not_located"] == [] and abs(document["stiffness_factor"] - 1.0) < 0.04
     page, picture = (out / "points.html").read_text(), (out / "points.svg").read_text()
     assert picture.count("rotate(") == len(rows) and page.count("<canvas") == 1
-    for text in (page, picture):
-        assert "the simulated truth" in text  # the recording of a simulated run states its source
+    for text in (page, picture):  # the recording of a simulated run states its source; nothing needs a network
+        assert "the simulated truth" in text
         assert "http" not in text.replace("http://www.w3.org/2000/svg", "") and "src=" not in text
-
-
-def test_json_agrees_with_the_table(explored, found):
-    _, document = explored
-    assert [point["x_world_mm"] for point in document["points"]] == pytest.approx([place(row)[0] for row in found[1]])
-    assert document["not_located"] == [] and abs(document["stiffness_factor"] - 1.0) < 0.04
 
 
 def test_a_smaller_base_uncertainty_makes_smaller_ellipsoids(probe, house, found, capsys):
@@ -192,15 +183,12 @@ def test_what_is_missing_or_out_of_range_is_refused_with_its_option(
     assert named in refused(capsys, ["explore", str(probe), *(str(paths.get(word, word)) for word in change)])
 
 
-def test_a_recording_of_another_probe_is_refused(estimator, house, tmp_path, capsys):
+def test_a_recording_of_another_probe_or_of_another_clock_is_refused(estimator, probe, house, tmp_path, capsys):
     rod = estimator.model.rod
     other = replace(estimator.model, fingerprint="0" * 12, rod=replace(rod, youngs_modulus=2.0 * rod.youngs_modulus))
     write_frozen(other, tmp_path / "other.probe.json")
     line = refused(capsys, arguments(tmp_path / "other.probe.json", house[1]))
     assert "recorded with probe" in line or "fingerprint" in line
-
-
-def test_clocks_that_do_not_overlap_are_refused(probe, house, tmp_path, capsys):
     rows = [f"{1e6 + t},0,0,0,0,0,0,1" for t in (0.0, 0.01)]
     (tmp_path / "late.csv").write_text("\n".join([",".join(POSE_COLUMNS), *rows]) + "\n")
     line = refused(capsys, [*arguments(probe, house[1])[:4], str(tmp_path / "late.csv"), "--tare-s", "0:3"])

@@ -94,11 +94,16 @@ def test_the_force_stays_small_on_an_object_that_may_be_soft(estimator, box):
     assert best.force * 2.0 * estimator.priors.object_compliance <= MAX_YIELD * (1.0 + 1e-9)
 
 
-def test_the_stiffness_is_told_best_by_the_part_of_the_probe_that_bends_least(estimator):
-    """The compliance is what a press moves beyond the bending of the probe, which is least near the base."""
+@pytest.fixture(scope="module")
+def edge():
+    """An edge near the base, from eight touches."""
     rng = np.random.default_rng(8)
     touches, _ = draw_touches(object_of("edge", rng), 8, rng)
-    edge = replace(ShapeFit(touches).best_of("edge", touches, rng), p=np.zeros(3))
+    return replace(ShapeFit(touches).best_of("edge", touches, rng), p=np.zeros(3))
+
+
+def test_the_stiffness_is_told_best_by_the_part_of_the_probe_that_bends_least(estimator, edge):
+    """The compliance is what a press moves beyond the bending of the probe, which is least near the base."""
     best = suggestion(estimator, "stiffness", [edge], force_limit=0.02, std_compliance=0.03)
     assert best.unit == "m/N" and best.before == 0.03 and best.after < 0.9 * best.before
     assert best.s < 0.7 * estimator.model.rod.length
@@ -106,26 +111,15 @@ def test_the_stiffness_is_told_best_by_the_part_of_the_probe_that_bends_least(es
         suggestion(estimator, "stiffness", [edge])
 
 
-def test_the_extent_of_an_edge_is_sought_beyond_its_ends(estimator):
-    rng = np.random.default_rng(8)
-    touches, _ = draw_touches(object_of("edge", rng), 8, rng)
-    edge = ShapeFit(touches).best_of("edge", touches, rng)
-    edge = replace(edge, p=np.zeros(3))
-    try:
-        best = suggestion(estimator, "extent", [edge])
-    except InputError:
-        pytest.fail("an edge near the base is reachable")
-    place = float(edge.places(best.x[None])[0, 0])
-    assert not edge.extent[0, 0] <= place <= edge.extent[0, 1]
+def test_the_extent_of_an_edge_is_sought_beyond_its_ends(estimator, edge):
+    best = suggestion(estimator, "extent", [edge])
+    assert not edge.extent[0, 0] <= edge.places(best.x[None])[0, 0] <= edge.extent[0, 1]
 
 
-def test_the_probe_stays_above_its_lowest_point_and_beside_the_shapes_of_the_map(estimator):
-    rng = np.random.default_rng(8)
-    touches, _ = draw_touches(object_of("edge", rng), 8, rng)
-    edge = replace(ShapeFit(touches).best_of("edge", touches, rng), p=np.zeros(3))
+def test_the_probe_stays_above_its_lowest_point_and_beside_the_shapes_of_the_map(estimator, edge):
     before = suggestion(estimator, "shapes", [edge])
     # a place beyond the touched part is worth its probability: the touch is at an end, not 25 mm beyond it
-    assert edge.extent[0, 0] - 3e-3 <= float(edge.places(before.x[None])[0, 0]) <= edge.extent[0, 1] + 3e-3
+    assert edge.extent[0, 0] - 3e-3 <= edge.places(before.x[None])[0, 0] <= edge.extent[0, 1] + 3e-3
     # a plane between base and contact, as wide as the probe is long
     middle, along = before.axis_world[7], before.axis_world[8] - before.axis_world[6]
     along /= np.linalg.norm(along)
@@ -144,12 +138,9 @@ def test_the_probe_stays_above_its_lowest_point_and_beside_the_shapes_of_the_map
     assert after.axis_world[:, 2].min() > lowest - 0.02
 
 
-def test_what_no_touch_improves_is_one_line(estimator):
+def test_what_no_touch_improves_is_one_line(estimator, edge):
     with pytest.raises(InputError, match="no shape is known yet"):
         suggestion(estimator, "shapes")
-    rng = np.random.default_rng(9)
-    touches, _ = draw_touches(object_of("edge", rng), 8, rng)
-    edge = ShapeFit(touches).best_of("edge", touches, rng)
     with pytest.raises(InputError, match="no touch that the base reaches improves"):
         suggestion(estimator, "shapes", [replace(edge, p=edge.p + 5.0)])
 

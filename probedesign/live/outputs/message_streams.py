@@ -39,11 +39,9 @@ def parse_foxglove_address(text: str) -> tuple[str, int]:
         InputError: the text is no address.
     """
     address = split_address(f"ws://{text}", "ws")
-    if address is None or not text.isprintable() or " " in text:
-        raise InputError(f"--foxglove {text}: write HOST:PORT, as 127.0.0.1:8765")
+    if address is None or address[1] == 0 or not text.isprintable() or " " in text:
+        raise InputError(f"--foxglove {text}: write HOST:PORT, as 127.0.0.1:8765, with a port of 1 ... 65535")
     host, port = address
-    if port == 0:
-        raise InputError(f"--foxglove {text}: the port must be in 1 ... 65535")
     return host or DEFAULT_ADDRESS[0], port or DEFAULT_ADDRESS[1]
 
 

@@ -114,6 +114,7 @@ class SharedCommands(CommandQueue):
 
 
 SCHEMA = 1
+KEY_PERIOD = 0.1  #: Longest wait for a key before the end is noticed [s].
 MAX_ID = 64  #: Maximum length of the identifier of a datagram, which the reply repeats.
 
 
@@ -125,8 +126,7 @@ class KeyInput:
 
     def __init__(self, commands: CommandQueue, log: Log, fd: int | None = None) -> None:
         """Switch the terminal of a file descriptor, that of standard input by default, and start to read."""
-        self._commands = commands
-        self._wake, self._end = os.pipe()
+        self._commands, self._ended = commands, threading.Event()
         self._fd, self._saved = -1, None
         with suppress(Exception):  # no terminal, no descriptor, or no termios on this system
             import termios
@@ -145,21 +145,19 @@ class KeyInput:
 
     def close(self) -> None:
         """Restore the terminal."""
-        os.close(self._end)
+        self._ended.set()
         if self._saved is not None:
             import termios
 
             self._thread.join()
             with suppress(termios.error):  # the terminal has been closed
                 termios.tcsetattr(self._fd, termios.TCSADRAIN, self._saved)
-        os.close(self._wake)
 
     def _read(self) -> None:
         names = {key: name for name, key in COMMANDS.items()}
-        while True:
-            ready, _, _ = select.select([self._fd, self._wake], [], [])
-            if self._wake in ready:
-                return
+        while not self._ended.is_set():
+            if not select.select([self._fd], [], [], KEY_PERIOD)[0]:
+                continue
             try:
                 keys = os.read(self._fd, 64)
             except OSError:
