@@ -6,14 +6,14 @@ unambiguous damage is repaired: an incomplete last line is dropped, and gaps are
 Source: docs/recording-format.md.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from probedesign.core import csv_tables
-from probedesign.core.csv_tables import WRENCH, Column, CsvLines, Frame
+from probedesign.core.csv_tables import WRENCH, Column, CsvLines, Frame, TableRows
 from probedesign.core.errors import InputError, one_line, quoted
 from probedesign.core.files import write_atomically
 from probedesign.core.frames import Array
@@ -60,9 +60,9 @@ def read_recording(path: str | Path) -> Recording:
     if absent := [name for quantity, name in zip(wanted, names, strict=False) if quantity not in known]:
         problem = f"columns are missing: {', '.join(absent)}; the header must be like {CSV_HEADER}"
         table.fail(table.header_number, problem)
-    columns = [known[quantity] for quantity in wanted]
+    columns = {quantity: known[quantity] for quantity in wanted}
     rows, notes, damage = table.rows, list[str](), list[str]()
-    read = {column.index for column in columns}
+    read = {column.index for column in columns.values()}
     index = next((i for i, name in enumerate(table.header) if name.strip().casefold() == FAULT), None)
     if ignored := [quoted(name) for i, name in enumerate(table.header) if i not in {*read, index}]:
         notes.append(f"columns not read: {', '.join(ignored)[:200]}")
@@ -102,33 +102,25 @@ def _is_cut(row: str, table: CsvLines, read: set[int]) -> bool:
     return len(fields) < len(table.header)
 
 
-def _numeric_columns(table: CsvLines, rows: list[str], columns: list[Column], faults: tuple[str, ...]) -> Array:
+def _numeric_columns(table: CsvLines, rows: list[str], columns: dict[str, Column], faults: tuple[str, ...]) -> Array:
     """Return the columns in SI units, (n, len(columns)); what is invalid is located only if there is anything.
 
     A reading with a fault may have any wrench, but must have a time.
     """
-    healthy = np.array([not fault for fault in faults] or [True] * len(rows))
+    read = list(columns.values())
     try:
-        index = [column.index for column in columns]
+        index = [column.index for column in read]
         values = np.loadtxt(rows, delimiter=",", usecols=index, comments=None, ndmin=2)
     except ValueError:
-        values = np.full((len(rows), len(columns)), np.nan)
-    if not np.isfinite(values[:, 0]).all() or not np.isfinite(values[healthy]).all():
-        for i, row in enumerate(rows):
-            fields = row.split(",")
-            for column in columns if healthy[i] else columns[:1]:
-                text = fields[column.index].strip()
-                if not csv_tables.NUMBER.fullmatch(text) or not np.isfinite(float(text)):
-                    problem = f"{column.name} = {quoted(text)} is not a finite number"
-                    table.fail(table.numbers[i], f"{problem}; correct the value or delete the line")
+        values = np.full((len(rows), len(read)), np.nan)
+    values = np.asarray(values * [column.factor for column in read])
+    plausible = np.abs(values) <= [column.ceiling for column in read]
+    healthy = [i for i in range(len(rows)) if not faults or not faults[i]]
+    if not plausible[:, 0].all() or not plausible[healthy].all():
+        for chosen, quantities in ((range(len(rows)), ["time"]), (healthy, list(columns))):
+            lines = replace(table, numbers=[table.numbers[i] for i in chosen])
+            TableRows(lines, columns, [rows[i].split(",") for i in chosen]).required(*quantities)
         raise InputError(f"{table.path}: its rows cannot be read as numbers")
-    values = np.asarray(values * [column.factor for column in columns])
-    absurd = np.abs(values) > [column.ceiling for column in columns]
-    absurd[:, 1:] &= healthy[:, None]
-    if absurd.any():
-        i, j = np.argwhere(absurd)[0]
-        value = f"{columns[j].name} = {values[i, j] / columns[j].factor:g}"
-        table.fail(table.numbers[i], f"{value} exceeds the range of any sensor; raw counts or a wrong unit?")
     backward = np.diff(values[:, 0]) < 0
     if backward.any():
         i = int(np.argmax(backward)) + 1
