@@ -199,28 +199,23 @@ def test_another_probe_is_refused_unless_allowed_and_another_version_is_noted(wh
 # Cut off
 
 
-def test_a_file_that_was_never_closed_is_read_and_recovered(model, tmp_path):
+def test_a_file_that_was_never_closed_is_refused_accepted_with_a_note_or_recovered(estimator, tmp_path):
+    model, log_lines = estimator.model, []
     cut = write(tmp_path / "cut.mcap", model, BLOCKS, closed=False)
     recorded, blocks = read(cut, model)
     assert all(map(same, blocks, BLOCKS)) and len(blocks) == 4
     assert recorded.missing() == ("incomplete: it was cut off",)
-    saved = recover(cut, tmp_path / "whole.mcap")
-    assert saved.messages == 65  # with the static transform
-    recorded, blocks = read(tmp_path / "whole.mcap", model)
-    assert all(map(same, blocks, BLOCKS)) and recorded.missing() == ()
-    with AnyReader([tmp_path / "whole.mcap"]) as reader:
-        assert sum(1 for _ in reader.messages()) == 65
-
-
-def test_a_truncated_recording_is_refused_or_accepted_with_a_note(estimator, tmp_path):
-    cut = write(tmp_path / "cut.mcap", estimator.model, BLOCKS, closed=False)
     with pytest.raises(InputError, match="cut off; use --mend"):
         estimate_recording(estimator, cut)
     estimates = estimate_recording(estimator, cut, allow_incomplete=True)
     assert len(estimates.rows) == 60 and "incomplete: it was cut off" in estimates.notes
-    log_lines = []
-    list(ReplaySource(estimator.model, cut, "speed=max", log_lines.append))
+    list(ReplaySource(model, cut, "speed=max", log_lines.append))
     assert log_lines == [f"{cut}: incomplete: it was cut off"]
+    assert recover(cut, tmp_path / "whole.mcap").messages == 65  # with the static transform
+    recorded, blocks = read(tmp_path / "whole.mcap", model)
+    assert all(map(same, blocks, BLOCKS)) and recorded.missing() == ()
+    with AnyReader([tmp_path / "whole.mcap"]) as reader:
+        assert sum(1 for _ in reader.messages()) == 65
 
 
 @few

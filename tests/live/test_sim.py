@@ -7,7 +7,6 @@ from probedesign.core.errors import InputError
 from probedesign.live.blocks import WrenchReading, iter_readings
 from probedesign.live.processing.estimates import locate
 from probedesign.live.sources.sim import SimulatedSource
-from tests.live.peers import averaged
 
 FAST = "speed=max&rate_hz=10"
 
@@ -55,15 +54,6 @@ def test_a_run_repeats_and_another_seed_does_not(estimator):
 
     assert np.array_equal(run("seed=1"), run("seed=1"))
     assert not np.array_equal(run("seed=1"), run("seed=2"))
-
-
-def test_means_of_readings_lie_at_their_mean(estimator):
-    blocks = list(SimulatedSource(estimator.model, FAST + "&seconds=1"))
-    readings, means = list(iter_readings(blocks)), list(averaged(blocks, 4))
-    assert len(means) == 2  # of ten; two fill no block
-    assert means[0].time == pytest.approx(0.15, rel=1e-15)  # one rounding
-    wrench = np.mean([reading.wrench_sensor for reading in readings[4:8]], axis=0)
-    assert np.array_equal(means[1].wrench_sensor, wrench)
 
 
 def test_a_force_without_equilibrium_is_refused_before_the_first_reading(estimator):
