@@ -280,18 +280,3 @@ class Detector:
     def bias(self) -> Array:
         """Return the tracked bias of the free probe, at the base [N, N·m], (6,)."""
         return self.bias_filter.known().excess
-
-    def detectable(self, wrench_by_force: Array, samples: int) -> float:
-        """Return the smallest force [N] that is detected with probability 0.5 within so many samples.
-
-        Args:
-            wrench_by_force: change of the base wrench per newton of contact, (6,).
-            samples: of which the longest mean that fits is taken.
-        """
-        lengths = self.lengths
-        fitting = [j for j, length in enumerate(lengths) if length <= samples]
-        if not fitting:
-            raise InputError(f"samples = {samples} must be 1 or more")
-        per_newton = self._state.whiten @ wrench_by_force
-        longest = fitting[-1]
-        return math.sqrt(float(self._state.thresholds[longest]) / lengths[longest]) / float(np.linalg.norm(per_newton))

@@ -19,6 +19,7 @@ import pytest
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler, CompileResult
 from numba.core.cpu import CPUTargetOptions
+from numba.core.dispatcher import Dispatcher
 from numba.core.errors import NumbaError
 from packaging.requirements import Requirement
 
@@ -210,7 +211,7 @@ def test_numba_has_the_private_names_that_the_kernels_replace():
     for name in ("_optimize_final_module", "_finalize_final_module", "_finalize_dynamic_globals",
                  "_get_module_for_linking", "get_pointer_to_function", "serialize_using_object_code"):  # fmt: skip
         assert hasattr(JITCodeLibrary, name), name
-    assert hasattr(CPUTargetOptions, "_nrt")
+    assert hasattr(CPUTargetOptions, "_nrt") and hasattr(Dispatcher, "get_call_template")
     assert hasattr(Compiler, "define_pipelines")
     assert hasattr(CompileResult, "_reduce") and hasattr(CompileResult, "_rebuild")
     assert hasattr(CompileResult, "_find_referenced_environments")
