@@ -345,9 +345,13 @@ def assembly_page(
         *([f"dowel pin of {pin_d / MM:g} mm, for the hole in the robot's flange"] if pin_d else []),
     ]  # fmt: skip
     rows = measurements(model.adapter, model.plate)
+    after = "".join(
+        f"<tr><td><label><input type=checkbox> {escape(step)}</label></td><td>{escape(text)}</td></tr>"
+        for step, text in post_processing.items()
+    )
     sections = [
         f'<div class="exploded">{exploded}</div>', _warning(model),
-        _after_printing(model, post_processing),
+        f"<h2>After printing the probe, in {escape(model.design.resin.product)}</h2><table>{after}</table>",
         f"<h2>Tools and small parts</h2><ul class=tools>{''.join(f'<li>{escape(tool)}</li>' for tool in tools)}</ul>",
         "<h2>Steps</h2><p>Measure before you screw, in millimetres. The ranges leave room for the tolerance of the "
         f"screws, for heads that settle, and for the calipers: {CALIPERS / MM:g} mm for a reading, on the side that "
@@ -371,14 +375,6 @@ def assembly_page(
         " · compare the geometry's number with the manifest and with the probe that <code>live</code> runs"
     )
     return html_document(f"{model.design.name}: assembly", [about], "\n".join(sections) + "\n", STYLE)
-
-
-def _after_printing(model: CadModel, post_processing: Mapping[str, str]) -> str:
-    rows = "".join(
-        f"<tr><td><label><input type=checkbox> {escape(step)}</label></td><td>{escape(text)}</td></tr>"
-        for step, text in post_processing.items()
-    )
-    return f"<h2>After printing the probe, in {escape(model.design.resin.product)}</h2><table>{rows}</table>"
 
 
 def _warning(model: CadModel) -> str:

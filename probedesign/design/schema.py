@@ -513,16 +513,6 @@ class PrintTable(Table):
         _check_own(self, "printer")
         return self
 
-    @property
-    def scale(self) -> tuple[float, float, float]:
-        """Return the printed over the drawn size of the flexible part along x, y and z."""
-        return (self.scale_xy, self.scale_xy, self.scale_z)
-
-    @property
-    def rigid_scale(self) -> tuple[float, float, float]:
-        """Return the printed over the drawn size of the rigid parts along x, y and z."""
-        return (self.rigid_scale_xy, self.rigid_scale_xy, self.rigid_scale_z)
-
 
 class TolerancesTable(Table):
     """`[tolerances]`: standard deviations of the model parameters; missing ones take their defaults."""
@@ -654,40 +644,34 @@ class Design(Table, Displayed):
     @property
     def youngs_modulus(self) -> Quantity:
         """Return E [Pa] with its provenance."""
-        return self._quantity("youngs_modulus_mpa", MPA, self.resin.youngs_modulus)
+        return self._quantity("material", "youngs_modulus_mpa", MPA, self.resin.youngs_modulus)
 
     @property
     def shear_modulus(self) -> Quantity:
         """Return G [Pa] with its provenance."""
-        return self._quantity("shear_modulus_mpa", MPA, self.resin.shear_modulus)
+        return self._quantity("material", "shear_modulus_mpa", MPA, self.resin.shear_modulus)
 
     @property
     def density(self) -> Quantity:
         """Return the density [kg/m³] with its provenance."""
-        return self._quantity("density_kg_m3", 1.0, self.resin.density)
+        return self._quantity("material", "density_kg_m3", 1.0, self.resin.density)
 
     @property
     def friction(self) -> Quantity:
         """Return the friction of a touch, tangential over normal force [-], with its provenance."""
-        given = self.contact.friction
-        if given is None:
-            return self.resin.friction
-        return Quantity(given, self.contact.provenance.friction, "design file, contact.friction")
+        return self._quantity("contact", "friction", 1.0, self.resin.friction)
 
     @property
     def object_compliance(self) -> Quantity:
         """Return the scale of the prior on the compliance of the touched object [m/N], with its provenance."""
-        given = self.contact.object_compliance_m_N
-        if given is None:
-            return OBJECT_COMPLIANCE
-        source = "design file, contact.object_compliance_m_N"
-        return Quantity(given, self.contact.provenance.object_compliance_m_N, source)
+        return self._quantity("contact", "object_compliance_m_N", 1.0, OBJECT_COMPLIANCE)
 
-    def _quantity(self, key: str, unit: float, default: Quantity) -> Quantity:
-        given = getattr(self.material, key)
+    def _quantity(self, table: str, key: str, unit: float, default: Quantity) -> Quantity:
+        values = getattr(self, table)
+        given = getattr(values, key)
         if given is None:
             return default
-        return Quantity(given * unit, getattr(self.material.provenance, key), f"design file, material.{key}")
+        return Quantity(given * unit, getattr(values.provenance, key), f"design file, {table}.{key}")
 
     @property
     def assumptions(self) -> tuple[str, ...]:

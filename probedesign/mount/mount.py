@@ -59,17 +59,18 @@ class Mount:
 
     design: Design
     geometry: ProbeGeometry  #: of the design.
-    options: MountOptions  #: choices of the design.
 
     @classmethod
     def of(cls, design: Design) -> "Mount":
         """Return the mount of a design."""
-        return cls(design, build_geometry(design), mount_options(design))
+        return cls(design, build_geometry(design))
 
     @cached_property
     def sensor_adapter(self) -> SensorAdapter:
         """The adapter between sensor and probe, with its clamp ring, engraved."""
-        adapter = sensor_adapter_for(self.geometry, self.design.sensor_model, self.design.name, self.options)
+        adapter = sensor_adapter_for(
+            self.geometry, self.design.sensor_model, self.design.name, mount_options(self.design)
+        )
         axis = self.geometry.axis
         if axis.is_straight or not (touched := touched_part(self.geometry, adapter)):
             return adapter

@@ -422,7 +422,9 @@ def _reach(points: Iterable[XY]) -> float:
 
 def print_scale(design: Design, part: str) -> tuple[float, float, float]:
     """Return the printed size over the drawn size, along x, y and z, of a printed part."""
-    return design.print_.scale if part == "probe" else design.print_.rigid_scale
+    of = design.print_
+    xy, z = (of.scale_xy, of.scale_z) if part == "probe" else (of.rigid_scale_xy, of.rigid_scale_z)
+    return xy, xy, z
 
 
 def scale_note(design: Design, part: str) -> str:

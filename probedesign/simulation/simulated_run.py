@@ -93,31 +93,28 @@ class SimulatedTrajectory:
 
     def __post_init__(self) -> None:
         self._add(0.0, np.array([0.0, -0.2, 0.0]), self.wrench_free, np.zeros(6))
-        self._dwell(TARE_TIME)
+        self._add(TARE_TIME, self.positions[0], self.wrench_free, np.zeros(6))
 
     @property
     def end(self) -> float:
         """Time of the last waypoint [s]."""
         return self.times[-1]
 
-    def travel_to(self, p: Array) -> None:
-        """Move the free probe to a position before an object [m], (3,), and dwell there."""
-        self._move(TRAVEL_TIME, p, self.wrench_free)
-        self._dwell(FREE_TIME)
+    def go(self, seconds: float, p: Array, wrench_base: Array | None = None, dwell: float = 0.0) -> None:
+        """Move the base in a straight line, and dwell.
 
-    def approach(self, p: Array) -> None:
-        """Move to the position of first contact [m], (3,)."""
-        self._move(0.5 * APPROACH_TIME, p, self.wrench_free)
-
-    def press(self, p: Array, wrench_base: Array) -> None:
-        """Move to a press at a position [m], (3,), with its wrench [N, N·m], (6,), and dwell there."""
-        self._move(STEP_TIME, p, wrench_base)
-        self._dwell(DWELL_TIME)
-
-    def retreat(self, p: Array) -> None:
-        """Leave the object for a position [m], (3,), and dwell there."""
-        self._move(APPROACH_TIME, p, self.wrench_free)
-        self._dwell(FREE_TIME)
+        Args:
+            seconds: duration of the move [s].
+            p: position that the robot reports at its end [m], (3,).
+            wrench_base: wrench of the probe there [N, N·m], (6,); that of the free probe if None.
+            dwell: duration of the dwell [s].
+        """
+        wrench = self.wrench_free if wrench_base is None else wrench_base
+        # The bias also walks during the dwell before the move; that part is added here.
+        walk = self.rng.normal(0.0, self.bias_rate * math.sqrt(self.end - self.times[-2] + seconds), 6)
+        self._add(self.end + seconds, p, wrench, self.biases[-1] + walk)
+        if dwell:
+            self._add(self.end + dwell, p, wrench, self.biases[-1])
 
     def poses(self) -> list[TimedPose]:
         """Return the poses that the robot reports."""
@@ -145,14 +142,6 @@ class SimulatedTrajectory:
     def _interpolate(self, time: Array, values: list[Array]) -> Array:
         columns = np.array(values)
         return np.stack([np.interp(time, self.times, columns[:, i]) for i in range(6)], axis=1)
-
-    def _move(self, seconds: float, p: Array, wrench_base: Array) -> None:
-        # The bias also walks during the dwell before the move; that part is added here.
-        walk = self.rng.normal(0.0, self.bias_rate * math.sqrt(self.end - self.times[-2] + seconds), 6)
-        self._add(self.end + seconds, p, wrench_base, self.biases[-1] + walk)
-
-    def _dwell(self, seconds: float) -> None:
-        self._add(self.end + seconds, self.positions[-1], self.wrenches[-1], self.biases[-1])
 
     def _add(self, time: float, p: Array, wrench_base: Array, bias: Array) -> None:
         self.times.append(time)
@@ -303,7 +292,7 @@ def _touch(
     """Append a touch to the trajectory: travel, press alternately, retreat; return its ground truth."""
     start = bench.start(target)
     ready = start - CLEARANCE * target.direction
-    trajectory.travel_to(ready)
+    trajectory.go(TRAVEL_TIME, ready, dwell=FREE_TIME)
     depths = bench.depths(target, (LIGHT_FORCE, FIRM_FORCE), friction, offset)
     commanded = [start + depth * target.direction for depth in depths * N_CYCLES]
     begin = trajectory.end
@@ -314,13 +303,13 @@ def _touch(
             press = bench.press(target, p, friction, true=True)
             first = press.first_contact(float((press.start - bench.R.T @ (target.p_world - p)) @ press.direction))
             _require_ok(target, first.result)
-            trajectory.approach(start + (press.travel_of(first) - CLEARANCE) * target.direction)
+            trajectory.go(0.5 * APPROACH_TIME, start + (press.travel_of(first) - CLEARANCE) * target.direction)
         contact = press.solver.advance(contacts[-1] if contacts else first, bench.R.T @ (target.p_world - p))
         _require_ok(target, contact.result)
-        trajectory.press(goal, contact.equilibrium.wrench_base)
+        trajectory.go(STEP_TIME, goal, contact.equilibrium.wrench_base, DWELL_TIME)
         p_true.append(p)
         contacts.append(contact)
-    trajectory.retreat(ready)
+    trajectory.go(APPROACH_TIME, ready, dwell=FREE_TIME)
     wrenches = np.array([contact.equilibrium.wrench_base for contact in contacts])
     points = [p + bench.R @ contact.p_rest_base for p, contact in zip(p_true, contacts, strict=True)]
     return TrueTouch(

@@ -53,7 +53,7 @@ def test_the_bias_walks_with_the_square_root_of_time():
     """With 30 000 moves the standard deviation is known to 0.4 %, a correlation to 0.006; five times that."""
     trajectory = SimulatedTrajectory(np.eye(3), np.zeros(6), np.random.default_rng(5), bias_rate=0.3)
     for _ in range(30_000):
-        trajectory.press(np.zeros(3), np.zeros(6))
+        trajectory.go(0.4, np.zeros(3), np.zeros(6), 1.0)
     steps = np.diff(trajectory.biases[2::2], axis=0) / np.sqrt(np.diff(trajectory.times[2::2]))[:, None]
     assert steps.std(axis=0) == pytest.approx(np.full(6, 0.3), rel=0.02)
     assert np.abs(np.corrcoef(steps.T) - np.eye(6)).max() < 0.03
