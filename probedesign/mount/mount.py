@@ -74,7 +74,7 @@ class Mount:
         axis = self.geometry.axis
         if axis.is_straight or not (touched := touched_part(self.geometry, adapter)):
             return adapter
-        key, value, most, factor = self.design.probe.largest_curvature(
+        key, value, most, factor = d.probe.largest_curvature(
             lambda bent: not touched_part(replace(self.geometry, curved=bent), adapter)
         )
         radius = 1.0 / float(np.linalg.norm(axis.curvature, axis=1).max())
