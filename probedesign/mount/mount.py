@@ -68,9 +68,8 @@ class Mount:
     @cached_property
     def sensor_adapter(self) -> SensorAdapter:
         """The adapter between sensor and probe, with its clamp ring, engraved."""
-        adapter = sensor_adapter_for(
-            self.geometry, self.design.sensor_model, self.design.name, mount_options(self.design)
-        )
+        d = self.design
+        adapter = sensor_adapter_for(self.geometry, d.sensor_model, d.name, mount_options(d))
         axis = self.geometry.axis
         if axis.is_straight or not (touched := touched_part(self.geometry, adapter)):
             return adapter
