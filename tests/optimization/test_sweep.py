@@ -196,7 +196,8 @@ def test_what_was_measured_of_a_resin_does_not_hold_for_another():
     assert session.change(change, now=0.0) and session.design == check_design(with_values(tables, change))
     material, print_ = session.design.material, session.design.print_
     assert (material.identified_tests, material.stiffness_spread, material.creep_spread) == ((), None, 0.03)
-    assert (print_.scale, print_.rigid_scale_xy, session.design.probe.measured) == ((1.0, 1.0, 1.0), 1.03, ())
+    assert (print_.scale_xy, print_.scale_z, print_.rigid_scale_xy) == (1.0, 1.0, 1.03)
+    assert session.design.probe.measured == ()
     assert session.design.tolerances.model_dump(exclude_none=True) == of_the_bench
     assert build_probe(session.design).tolerances.youngs_modulus == RESINS["flexible-80a"].stiffness_spread.value
 
