@@ -464,9 +464,6 @@ def _frames(model: CadModel) -> str:
     )
 
 
-ASSEMBLY_SIZE = (800, 1000)
-
-
 def build_documents(
     model: CadModel, post_processing: Mapping[str, str]
 ) -> tuple[dict[str, bytes], list[dict[str, Any]]]:
@@ -481,8 +478,6 @@ def build_documents(
     bill, seat = bill_of_materials(model, steps), float(model.adapter.T_sensor_base[2, 3]) / MM
     exploded = exploded_svg(bodies, steps, bill, f"{model.design.name}: exploded view", seat)
     files = inspection_sheets(model)
-    assembled = list(bodies.values())
-    files["assembly.png"] = png_bytes(render_bodies(assembled, fit_view(assembled, ASSEMBLY_SIZE))[0], paper=True)
     files["exploded.svg"] = bytes(exploded)
     files["bill_of_materials.csv"] = csv_tables.write(list(asdict(bill[0])), map(asdict, bill))
     pictures = step_pictures(bodies, steps, seat)

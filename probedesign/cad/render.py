@@ -228,11 +228,9 @@ def render_bodies(bodies: Sequence[RenderBody], view: ImageView) -> tuple[NDArra
     return np.round(255.0 * sums).astype(np.uint8), owner[middle::SAMPLES, middle::SAMPLES]
 
 
-def png_bytes(pixels: NDArray[np.uint8], paper: bool = False) -> bytes:
-    """Return a PNG with a palette, on white paper or transparent: 255 colours suffice for shaded parts and make the
-    file a third as large."""
+def png_bytes(pixels: NDArray[np.uint8]) -> bytes:
+    """Return a transparent PNG with a palette: 255 colours suffice for shaded parts and make the file a third as
+    large."""
     picture, file = Image.fromarray(pixels), io.BytesIO()
-    if paper:
-        picture = Image.alpha_composite(Image.new("RGBA", picture.size, "white"), picture).convert("RGB")
     picture.quantize(255, dither=Image.Dither.NONE).save(file, "png", optimize=True)
     return file.getvalue()

@@ -164,7 +164,7 @@ def test_supports_lean_on_a_soft_probe_where_it_is_softer_than_the_longest_wire(
 def test_a_curved_probe_is_exported_with_all_its_checks(probe: str, tmp_path: Path) -> None:
     manifest = export_parts(design_of(probe), tmp_path / "curved")
     assert all(finding["ok"] for finding in manifest["verification"].values())
-    assert {"probe.stl", "assembly.step", "assembly.glb", "probe.3mf", "probe.png"} <= set(manifest["files"])
+    assert {"probe.stl", "assembly.step", "assembly.glb", "probe.3mf", "probe.svg"} <= set(manifest["files"])
     design, sheet = design_of(probe), (tmp_path / "curved" / "probe.svg").read_text(encoding="utf-8")
     x, y, z = 1e3 * design.probe.designed_axis.frames([design.probe.designed_axis.length])[0, :3, 3]
     assert f"s = 150.0: {x:.2f}, {y:.2f}, {z:.2f};" in " ".join(sheet.split())

@@ -37,7 +37,7 @@ FILES = {
     "probe.step", "sensor_adapter.step", "clamp_ring.step", "flange_adapter.step",
     "assembly.step", "assembly.glb", "probe.3mf", "adapters.3mf", "manifest.json",
     "probe.svg", "sensor_adapter.svg", "clamp_ring.svg", "flange_adapter.svg",
-    "assembly.png", "exploded.svg", "assembly.html", "bill_of_materials.csv",
+    "exploded.svg", "assembly.html", "bill_of_materials.csv",
 }  # fmt: skip
 
 Exported = tuple[Path, dict[str, Any]]

@@ -60,7 +60,7 @@ def layers_of_mesh(mesh: trimesh.Trimesh, pixel: float, layer: float) -> Mask:
         p, q = np.nonzero((beta >= 0.0) & (gamma >= 0.0) & (beta + gamma <= 1.0))
         z = a[2] + beta[p, q] * (b[2] - a[2]) + gamma[p, q] * (c[2] - a[2])
         np.add.at(crossings, (np.searchsorted(heights, z), i[p], j[q]), int(np.sign(area)))
-    return np.cumsum(crossings[::-1], axis=0)[::-1][1:] > 0
+    return np.cumsum(crossings[::-1], axis=0, dtype=np.int16)[::-1][1:] > 0
 
 
 def examine_layers(solids: Mask, max_overhang: float, max_bridge: float, pixel: float, layer: float) -> LayerReport:
