@@ -267,17 +267,11 @@ def exploded_svg(
 
 def _spread(wanted: Sequence[float], spacing: float, height: float) -> list[float]:
     """Return heights near the wanted ones, at least `spacing` apart, inside the picture."""
-    order = np.argsort(wanted, kind="stable")
-    placed = np.array(wanted, dtype=float)
-    lowest = spacing / 2
-    for i in order:
-        placed[i] = lowest = max(lowest, placed[i])
-        lowest += spacing
-    highest = height - spacing / 2
-    for i in order[::-1]:
-        placed[i] = highest = min(highest, placed[i])
-        highest -= spacing
-    return [float(y) for y in placed]
+    order, lowest = np.argsort(wanted, kind="stable"), spacing * (np.arange(len(wanted)) + 0.5)
+    highest = height - lowest[::-1]
+    placed = lowest + np.maximum.accumulate(np.maximum(np.array(wanted)[order] - lowest, 0.0))
+    placed = highest + np.minimum.accumulate(np.minimum(placed - highest, 0.0)[::-1])[::-1]
+    return placed[np.argsort(order)].tolist()
 
 
 def _label(svg: Canvas, item: BillItem, anchor: tuple[float, float], y: float, side: int, width: float) -> None:
