@@ -271,7 +271,7 @@ def _spread(wanted: Sequence[float], spacing: float, height: float) -> list[floa
     highest = height - lowest[::-1]
     placed = lowest + np.maximum.accumulate(np.maximum(np.array(wanted)[order] - lowest, 0.0))
     placed = highest + np.minimum.accumulate(np.minimum(placed - highest, 0.0)[::-1])[::-1]
-    return placed[np.argsort(order)].tolist()
+    return [float(y) for y in placed[np.argsort(order)]]
 
 
 def _label(svg: Canvas, item: BillItem, anchor: tuple[float, float], y: float, side: int, width: float) -> None:
