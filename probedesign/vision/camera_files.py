@@ -29,7 +29,8 @@ DISTANCE = (0.05, 20.0)  #: Plausible distances of a camera from the base of the
 MATRIX = ("camera_matrix", "Camera_Matrix", "cameraMatrix", "K", "M", "mtx")
 BENDS = ("distortion_coefficients", "Distortion_Coefficients", "distCoeffs", "dist_coeffs", "D", "dist")
 ROTATION, TRANSLATION = ("R", "rvec"), ("T", "tvec")
-WIDTH, HEIGHT, SIZE = (("image_width", "image_Width"), ("image_height", "image_Height"), ("image_size", "imageSize"))
+WIDTH, HEIGHT = ("image_width", "image_Width"), ("image_height", "image_Height")
+SIZE = ("image_size", "imageSize", "resolution")  #: Width and height together.
 ERROR = ("avg_reprojection_error", "Avg_Reprojection_Error", "reprojection_error", "rms", "RMS")
 #: Names of the distortion models with k1, k2, p1, p2, k3 in ROS and Kalibr, and of none.
 PINHOLE = {"plumb_bob", "radtan", "none"}
@@ -213,9 +214,7 @@ def _kalibr(document: _Document, names: Sequence[str]) -> list[Camera]:
                 raise of_camera.fail(f"{key} {quoted(model)} is not supported; calibrate with pinhole-radtan")
         fu, fv, u, v = of_camera.numbers("intrinsics", (4,))
         K = np.array([[fu, 0.0, u], [0.0, fv, v], [0.0, 0.0, 1.0]])
-        size = None
-        if "resolution" in of_camera.values:
-            size = _whole(of_camera, *of_camera.numbers("resolution", (2,)))
+        size = _size(of_camera)
         cameras.append(_camera(of_camera, name, K, of_camera.numbers("distortion_coeffs", (0, 4)), size))
     return cameras
 
@@ -247,22 +246,17 @@ def _camera(document: _Document, name: str, K: Array, bends: Array, size: tuple[
 def _size(document: _Document) -> tuple[int, int] | None:
     width, height, both = document.key(WIDTH), document.key(HEIGHT), document.key(SIZE)
     if width and height:
-        return _whole(document, document.number(width), document.number(height))
-    return _whole(document, *document.numbers(both, (2,))) if both else None
-
-
-def _whole(document: _Document, width: float, height: float) -> tuple[int, int]:
-    if not (width >= 16 and height >= 16 and width % 1 == 0 and height % 1 == 0):
-        raise document.fail(f"picture size {width:g} x {height:g} is not one of whole pixels")
-    return int(width), int(height)
+        return int(document.number(width)), int(document.number(height))
+    if both is None:
+        return None
+    size = document.numbers(both, (2,)).astype(int)
+    return int(size[0]), int(size[1])
 
 
 def _error(document: _Document) -> float | None:
     key = document.key(ERROR)
-    if key is None:
-        return None
-    error = document.number(key)
-    if not 0 < error < 20:
+    error = None if key is None else document.number(key)
+    if error is not None and not 0 < error < 20:
         raise document.fail(f"{key} = {error:g} px is not the error of a calibration")
     return error
 

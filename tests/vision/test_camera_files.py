@@ -190,7 +190,7 @@ NOT_FINITE = TRUE[0].K * [[1, 1, 1], [1, np.nan, 1], [1, 1, 1]]
         (spoiled(T=np.array([0.0, 1e5, 5e5])), "m from the base.*length_unit"),
         (spoiled(distortion_coefficients=np.full((1, 8), 0.1)), "8 coefficients of distortion, of a model"),
         (spoiled(distortion_coefficients=np.zeros((1, 3))), "has 3 numbers"),
-        (spoiled(image_width=0.5), "picture size"),
+        (spoiled(image_width=0.5), "are not those of a picture of 0 x 1080"),
         (spoiled(avg_reprojection_error=-1.0), "avg_reprojection_error = -1"),
         (cut(".yaml", 0.4), "is cut off|is not"),
         (cut(".yaml", 0.03), "is not a calibration file"),
