@@ -10,7 +10,7 @@ docs/identification.md.
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from itertools import pairwise, product
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -57,9 +57,6 @@ MAX_MOVE, MAX_GROWTH, MAX_CONTRADICTIONS = 0.5, 1.4, 3
 #: Residuals of readings over the scatter of these readings from test to test, both RMS, from which on a fit does not
 #: explain them: it then accounts for less than three quarters of their variance (assumed).
 MAX_UNEXPLAINED = 0.5
-#: Markers that scatter by more times their stated noise contradict the model if residuals of neighbours agree: noise of
-#: markers is independent, and an error of the model bends the whole probe (limit of the correlation assumed).
-MAX_NOISE_SCALE, MAX_NEIGHBOUR_CORRELATION = 3.0, 0.5
 #: Fraction of its variance that a residual must keep to be tested: below it the other readings do not check it.
 MIN_REDUNDANCY = 0.02
 LABELS = {"markers": "markers", "wrenches": "wrenches", "touches": "touched places", "places": "arclengths of loads",
@@ -227,14 +224,6 @@ def inconsistency(fit: Fit) -> Contradiction | None:
         if noise.measured and noise.kind in CHECKS and (share := _unexplained(fit.point, noise.kind)) > MAX_UNEXPLAINED:
             text = f"{share:.0%} of their RMS scatter is not explained by the probe as designed"
             return Contradiction(LABELS[noise.kind], f"{text}; check {CHECKS[noise.kind]}")
-        if noise.kind == "markers" and noise.scale > MAX_NOISE_SCALE:
-            markers = [block for block in blocks if block.kind == "markers"]
-            products = sum(float(a.r @ b.r) for a, b in pairwise(markers) if a.test == b.test)
-            correlation = products / sum(block.squared_distance for block in markers)
-            if correlation > MAX_NEIGHBOUR_CORRELATION:
-                text = (f"they scatter {noise.scale:.2g} times as much as stated, and neighbours alike (correlation "
-                         f"{correlation:.2f}), so the probe as designed does not explain them")  # fmt: skip
-                return Contradiction("markers", f"{text}; check {CHECKS['markers']}")
     return None
 
 

@@ -52,14 +52,9 @@ def test_the_same_seed_makes_the_same_campaign(large, made, tmp_path):
     again = make_campaign(large, tmp_path / "again", CampaignPlan(seed=3)).folder
     for name in ("campaign.toml", "tests.csv", "wrenches.csv", "pixels.csv", "control_points.csv", "truth.json"):
         assert (again / name).read_bytes() == (made / name).read_bytes()
-    other = make_campaign(large, tmp_path / "other", CampaignPlan(seed=5)).folder
+    other = make_campaign(large, tmp_path / "other", CampaignPlan("stage", 5, 2.0e6, 0.7e6)).folder
     assert (other / "wrenches.csv").read_bytes() != (made / "wrenches.csv").read_bytes()
-
-
-def test_named_moduli_are_the_truth(large, tmp_path):
-    plan = CampaignPlan("stage", 1, youngs_modulus=2.0e6, shear_modulus=0.7e6)
-    made = make_campaign(large, tmp_path / "data", plan)
-    truth = json.loads((made.folder / "truth.json").read_text())
+    truth = json.loads((other / "truth.json").read_text())  # the moduli that were named
     assert truth["youngs_modulus_mpa"] == pytest.approx(2.0, rel=1e-12)
     assert truth["shear_modulus_mpa"] == pytest.approx(0.7, rel=1e-12)
 
@@ -159,10 +154,12 @@ def test_coverage_of_weights_over_prints(large, tmp_path):
     misses = []
     for seed in range(20):
         folder = make_campaign(large, tmp_path / "data", CampaignPlan(seed=seed, marker_noise=1e-3), force=True).folder
-        trials = validate(Estimator(large), read_campaign(folder)).tests
+        campaign = read_campaign(folder)
+        loads = replace(campaign, tests=tuple(test for test in campaign.tests if test.force_world is not None))
         misses += [
-            t.contact_error for t in trials if t.kind == "weight" and t.force > 0.008 and t.contact_error is not None
-        ]
+            t.contact_error for t in validate(Estimator(large), loads).tests
+            if t.kind == "weight" and t.force > 0.008 and t.contact_error is not None
+        ]  # fmt: skip
     assert len(misses) >= 19  # one in five hundred is called inconsistent
     assert np.mean([miss.nees for miss in misses]) == pytest.approx(1.0, abs=1.28)
     assert sum(miss.within_95 for miss in misses) >= 0.77 * len(misses)
