@@ -190,7 +190,6 @@ def _explore(
     All kernels are compiled before the first reading arrives.
     """
     from probedesign.live.run import warm_up
-    from probedesign.mapping.explore import check_poses
     from probedesign.mapping.touch_point import describe_base
 
     exploration, of = explorations[name], f"{name}: " if len(explorations) > 1 else ""
@@ -199,7 +198,8 @@ def _explore(
     def log(line: str) -> None:
         print_note(of + line)
 
-    poses = check_poses(base.poses(log, list(explorations), name), None)
+    if (poses := base.poses(log, list(explorations), name)) is None:
+        raise InputError("--pose fixed: points need base poses; give --pose FILE.csv, a ROS 2 bag or udp://:PORT")
     with show_progress("loading the rod kernels"):
         warm_up(estimator, log, fusing=True)
         source = reading.open(recording, estimator.model, poses, log)

@@ -258,7 +258,7 @@ class ReadingOptions:
             return open_source(str(self.source), model, log)
         options = RecordingOptions(self.topic, moment_unit=self.moment_unit, other_probe=self.other_probe)
         played = load_recording(recording, model, self.mend, options)
-        check_poses(poses, played.span)
+        check_poses(poses, played.blocks)
         return played
 
 

@@ -1,6 +1,6 @@
 """From readings and poses to a map: the chain of `live`, its touches segmented, located and combined."""
 
-from collections.abc import Callable, Generator, Iterator, Mapping
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from contextlib import closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -17,7 +17,6 @@ from probedesign.live.blocks import Block, WrenchReading
 from probedesign.live.datagrams import Parsed
 from probedesign.live.outputs.sinks import SCHEMA, Sink
 from probedesign.live.poses.base_poses import MAX_DISTANCE, MAX_TIME, BasePoses
-from probedesign.live.poses.open import FIXED
 from probedesign.live.processing.chain import ProcessingOptions
 from probedesign.live.processing.estimates import EstimateUpdate
 from probedesign.live.processing.touches import Contact, Phase
@@ -45,12 +44,6 @@ class LoadedRecording:
 
     def __iter__(self) -> Generator[Block, None, None]:
         yield from self.blocks
-
-    @property
-    def span(self) -> tuple[float, float]:
-        """Return the times of the first and the last reading [s]."""
-        times = [block.time for block in self.blocks if len(block)]
-        return float(times[0][0]), float(times[-1][-1])
 
 
 def load_recording(
@@ -82,31 +75,24 @@ def load_recording(
     return LoadedRecording(f"{path}, {opened.description}", notes, blocks, opened.source)
 
 
-def check_poses(poses: BasePoses | None, span: tuple[float, float] | None) -> BasePoses:
-    """Return the poses, after checking that there are any for the time of the readings.
-
-    Args:
-        poses: opened poses.
-        span: times of the first and the last reading [s], if known beforehand.
+def check_poses(poses: BasePoses, blocks: Iterable[Block]) -> None:
+    """Check that there are poses for the time of readings, as far as they are known beforehand.
 
     Raises:
-        InputError: there are none, or their clock differs.
+        InputError: their clocks differ, or the base hardly moves.
     """
-    if poses is None:
+    times, read = poses.track.times, np.concatenate([block.time for block in blocks])
+    if not times:
+        return
+    start, end = float(read[0]), float(read[-1])
+    if not (times[0] < end and start < times[-1]):
         raise InputError(
-            f"--pose {FIXED}: points of the world need base poses; give --pose FILE.csv, a ROS 2 bag or udp://:PORT"
-        )
-    times = poses.track.times
-    if span is not None and times and not (times[0] < span[1] and span[0] < times[-1]):
-        raise InputError(
-            f"the poses span {times[0]:.9g} ... {times[-1]:.9g} s, the readings {span[0]:.9g} ... {span[1]:.9g} s: "
+            f"the poses span {times[0]:.9g} ... {times[-1]:.9g} s, the readings {start:.9g} ... {end:.9g} s: "
             "the clocks do not overlap; stamp the poses with the clock of the recording"
         )
-    if span is not None and times:
-        p = np.array([pose.p for pose in poses.track.spanning(*span)])
-        if problem := _too_little_motion(float(np.ptp(p, axis=0).max())):
-            raise InputError(problem)
-    return poses
+    p = np.array([pose.p for pose in poses.track.spanning(start, end)])
+    if problem := _too_little_motion(float(np.ptp(p, axis=0).max())):
+        raise InputError(problem)
 
 
 def _too_little_motion(extent: float) -> str:

@@ -164,9 +164,11 @@ def test_a_base_that_leaps_has_no_position_until_it_moves_on(estimator, free):
 
 def test_a_recording_with_positions_in_metres_is_refused(estimator):
     """0 ... 0.4 written into x_mm."""
+    gravity, ends = estimator.model.gravity_base, np.array([0.0, 0.99])
+    readings = [Block(ends, np.zeros((2, 6)), gravity, ends)]
     with pytest.raises(InputError, match="in metres"):
-        check_poses(stated(estimator.model, np.linspace(0.0, 0.4, 100)), (0.0, 0.99))
-    assert check_poses(stated(estimator.model, np.linspace(0.0, 400.0, 100)), (0.0, 0.99))
+        check_poses(stated(estimator.model, np.linspace(0.0, 0.4, 100)), readings)
+    check_poses(stated(estimator.model, np.linspace(0.0, 400.0, 100)), readings)
 
 
 # averaging
