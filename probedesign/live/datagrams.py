@@ -207,9 +207,6 @@ class Listener(Generic[T]):
         self._socket.settimeout(0.1)
         self._thread.start()
 
-    def check(self) -> None:
-        """Raise InputError if nothing more will be sent; who sends is unknown here."""
-
     def pop_messages(self) -> list[str]:
         """Return the messages to the user since the last call."""
         return self._messages.take()

@@ -85,9 +85,16 @@ def test_an_ended_bridge_ends_the_run_with_its_reason(ros2, estimator, monkeypat
     (tmp_path / "rclpy").mkdir()
     (tmp_path / "rclpy" / "__init__.py").write_text("def init(args=None): raise RuntimeError('no\\x1b[2J middleware')")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
-    source = open_source("ros2://wrench", estimator.model)
-    with pytest.raises(InputError, match=r"has ended: RuntimeError: no\\x1b\[2J middleware"):
-        some_readings(source, 1)
+    source, poses = open_source("ros2://wrench", estimator.model), open_poses("tf://world/base")
+    now = np.array([time.monotonic()])
+
+    def refresh():
+        until(lambda: poses.refresh(Block(now, np.zeros((1, 6)), np.zeros(3), now)))
+
+    for attempt in (lambda: some_readings(source, 1), refresh):
+        with pytest.raises(InputError, match=r"has ended: RuntimeError: no\\x1b\[2J middleware"):
+            attempt()
+    poses.close()
 
 
 @pytest.mark.parametrize("spec", ["ros2:wrench", "ros2://", "ros2://a b", "ros2://-x", "ros2://w?moment_unit=N"])

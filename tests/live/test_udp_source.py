@@ -54,9 +54,10 @@ class Script(Listener):
             except InputError as error:
                 self.reject("invalid", f"a datagram {error}")
 
-    def check(self):
+    def pop(self):
         if self.now > self._start + END:
             raise InputError("over")
+        return super().pop()
 
 
 class Heard:

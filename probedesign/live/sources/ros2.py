@@ -80,14 +80,19 @@ class Bridge(Listener[T]):
             start_new_session=True,
         )  # fmt: skip
 
-    def check(self) -> None:
-        """Raise InputError if the process has ended."""
-        process = self._process
-        if process is not None and process.poll() is not None:
+    def pop(self) -> list[tuple[float, T, int]]:
+        """Return what came since the last call, see `Listener`.
+
+        Raises:
+            InputError: nothing came, and the process has ended.
+        """
+        values, process = super().pop(), self._process
+        if not values and process is not None and process.poll() is not None:
             assert process.stderr is not None
             lines = process.stderr.read().decode(errors="replace").strip().splitlines()
             why = one_line(lines[-1], 200) if lines else f"exit status {process.returncode}"
             raise InputError(f"{self._option}: the bridge to ROS 2 has ended: {why}")
+        return values
 
     def close(self) -> None:
         """End the process and the stream."""
@@ -116,29 +121,7 @@ def open_ros2(model: ProbeModel, target: str, query: str, log: Log) -> UdpSource
     return UdpSource(model, bridge, log, texts["frame"], numbers["wait_s"], f"{ros_name(model.name)}/base")
 
 
-class TransformPoses(Bridge[TimedPose]):
-    """Poses of TF, which a bridge sends; see `PoseStream`."""
-
-    _end_reported = False
-
-    def pop_messages(self) -> list[str]:
-        """Return the messages to the user since the last call, with the end of the bridge once."""
-        lines = super().pop_messages()
-        try:
-            if not self._end_reported:
-                self.check()
-        except InputError as error:
-            self._end_reported = True
-            lines.append(str(error))
-        return lines
-
-    def close(self) -> None:
-        """End the bridge, which is not reported, and close the socket."""
-        self._end_reported = True
-        super().close()
-
-
-def open_tf(target: str) -> TransformPoses:
+def open_tf(target: str) -> Bridge[TimedPose]:
     """Open the poses `tf://WORLD/BASE`: frame BASE, the probe's base, in frame WORLD, through all frames in between.
 
     A slash in the name of a frame is written as %2F.
@@ -152,6 +135,6 @@ def open_tf(target: str) -> TransformPoses:
         raise InputError(f"{option}: write tf://WORLD/BASE, as tf://world/probe_base")
     world, base = unquote(world), unquote(base)
     command = (find_python(option), "tf", world, base)
-    poses = TransformPoses(option, "poses", parse_pose, MAX_POSE_RATE, f"TF of {base} in {world}", command)
+    poses = Bridge(option, "poses", parse_pose, MAX_POSE_RATE, f"TF of {base} in {world}", command)
     poses.start()
     return poses

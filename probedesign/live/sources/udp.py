@@ -134,7 +134,6 @@ class UdpSource:
                 sleep(max(0.0, started + GATHER_TIME - monotonic()))
             elif started - self._arrival > self._stale_time:
                 self._report(listener)
-                listener.check()
                 self._dropout.on_silence(self._arrival, "is the sender running?")
                 yield dropout_block(self._model.gravity_base, self._dropout.reason, self._stretch)
 
