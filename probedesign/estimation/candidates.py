@@ -125,10 +125,7 @@ def _growth(body, s, c):
 @inner
 def _carry(body, s, end, work, force, gravity, on):
     """Integrate the state in work from s on to `end`, over knots and the root's edge; whether it stays finite."""
-    i = 0
-    while i + 2 < body.knots.shape[0] and s >= body.knots[i + 1]:
-        i += 1
-    reach = body.constants[ROOT_REACH]
+    i, reach = 0, body.constants[ROOT_REACH]
     while s < end:
         while i + 2 < body.knots.shape[0] and s >= body.knots[i + 1]:
             i += 1

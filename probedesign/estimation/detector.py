@@ -56,7 +56,7 @@ class DetectorState(NamedTuple):
     counts: Array
     scatter: Array  #: Cholesky factor of S for each length, (k, 6, 6); moments: what S is made from, (k, 6, 6).
     moments: Array
-    scratch: Array  #: of one sample, (3, 6).
+    scratch: Array  #: of one sample, (2, 6).
 
     @classmethod
     def fresh(cls, whiten: Array, thresholds: Array, released: float, prior_weight: float) -> "DetectorState":
@@ -64,7 +64,7 @@ class DetectorState(NamedTuple):
         lengths = len(thresholds)
         eye = np.tile(np.eye(6), (lengths, 1, 1))
         return cls(whiten, thresholds, released, prior_weight, np.zeros(2), np.zeros((lengths, 6)), np.zeros(lengths),
-                   eye.copy(), eye.copy(), np.empty((3, 6)))  # fmt: skip
+                   eye.copy(), eye.copy(), np.empty((2, 6)))  # fmt: skip
 
 
 @inner
@@ -85,16 +85,6 @@ def learn(j, z, share, moments, scatter):
                 scatter[j, a, b] = value / scatter[j, b, b]
 
 
-@inner
-def unwhiten(whiten, white, wrench):
-    """Solve whiten · wrench = white for a lower triangular matrix."""
-    for a in range(6):
-        wrench[a] = white[a]
-        for b in range(a):
-            wrench[a] -= whiten[a, b] * wrench[b]
-        wrench[a] /= whiten[a, a]
-
-
 @kernel
 def advance(
     samples, whiten, thresholds, released, prior_weight, state, sums, counts, scatter, moments, scratch, mean, cov,
@@ -106,8 +96,7 @@ def advance(
         The code of the last one.
     """
     lengths = thresholds.shape[0]
-    white, z, y = scratch[0], scratch[1], scratch[2]
-    code = FREE
+    z, y, code = scratch[0], scratch[1], FREE
     for i in range(samples.shape[0]):
         clock[NOW] += constants[PERIOD]
         since = clock[NOW] - clock[AT]
@@ -119,13 +108,10 @@ def advance(
             codes[i] = code = INVALID
             continue
         for a in range(6):
-            white[a] = 0.0
             for b in range(a + 1):
-                white[a] += whiten[a, b] * y[b]
+                sums[0, a] += whiten[a, b] * y[b]
         in_contact = state[STATE_NOW] == CONTACT
         code = CONTACT if in_contact else FREE
-        for a in range(6):
-            sums[0, a] += white[a]
         counts[0] += 1.0
         j, n = 0, 1.0
         while j < lengths and counts[j] >= (1.0 if j == 0 else RATIO):
@@ -150,8 +136,8 @@ def advance(
                     swaying = 0.0
                     for a in range(6):
                         swaying += moments[j, a, a] / 6.0
-                        white[a] = sums[j, a] / n
-                    unwhiten(whiten, white, y)
+                        y[a] = sums[j, a] / n
+                    forward(whiten, 6, y)
                     middle = since - 0.5 * n * constants[PERIOD]
                     for a in range(6):
                         y[a] += mean[BIAS, a] + middle * mean[RATE, a]

@@ -54,7 +54,7 @@ def test_a_touch_below_the_noise_is_no_contact_and_above_it_is_one(estimator, gr
 def test_a_free_probe_whose_bias_was_taken_with_the_probe_mounted_has_no_tare(estimator, large, gravity):
     """The sensor then reads zero on all channels, which the weight of the probe would have to be balanced for."""
     rng, model = np.random.default_rng(3), large.model
-    for _ in range(50):
+    for _ in range(15):
         read = np.repeat([model.noise.force, model.noise.moment], 3) * rng.normal(size=6)
         c = estimator.estimate(model.to_base(read, gravity), gravity)
         assert c.result == "no_tare"
@@ -83,7 +83,7 @@ def test_a_drifting_free_probe_is_no_contact_where_drift_is_counted(large, gravi
     estimator = Estimator(model, replace(EXACT, drift_steps=steps))
     step = np.linalg.cholesky(model.noise_base() * model.averaging_samples)
     free = large.rod.solve(gravity).wrench_base
-    for _ in range(50):
+    for _ in range(15):
         drift = steps * step @ rng.normal(size=6)
         noise = rng.multivariate_normal(np.zeros(6), model.noise_base())
         assert estimator.estimate(free + drift + noise, gravity).result == "no_contact"
@@ -144,24 +144,15 @@ def test_a_push_along_the_axis_of_a_straight_probe_leaves_no_trace(push, mount, 
 
 
 @pytest.mark.parametrize("channel", range(6))
-@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
-def test_a_reading_that_is_no_number_is_out_of_range(channel, bad, large, gravity):
-    wrench = large.solve(gravity, 0.06, (0.0, 0.05, 0.0)).wrench_base.copy()
-    wrench[channel] = bad
-    c = large.estimator().estimate(wrench, gravity)
-    assert c.result == "out_of_range"
-    assert_no_position(c)
-
-
-@pytest.mark.parametrize("channel", range(6))
-@pytest.mark.parametrize("sign", [-1.0, 1.0])
-def test_a_saturated_channel_is_out_of_range(channel, sign, large, gravity):
-    model = large.model
-    reading = np.zeros(6)
-    reading[channel] = sign * 1.001 * model.wrench_range[channel]
-    c = large.estimator().estimate(model.to_base(reading, gravity), gravity)
-    assert c.result == "out_of_range"
-    assert_no_position(c)
+def test_a_channel_that_is_no_number_or_saturated_is_out_of_range(channel, large, gravity):
+    model, touched = large.model, large.solve(gravity, 0.06, (0.0, 0.05, 0.0)).wrench_base
+    wrenches = [np.where(np.arange(6) == channel, bad, touched) for bad in (np.nan, np.inf, -np.inf)]
+    limit = 1.001 * model.wrench_range * (np.arange(6) == channel)
+    wrenches += [model.to_base(reading, gravity) for reading in (limit, -limit)]
+    for wrench in wrenches:
+        c = large.estimator().estimate(wrench, gravity)
+        assert c.result == "out_of_range"
+        assert_no_position(c)
 
 
 def test_a_lever_arm_beyond_the_tip_is_not_on_the_probe(large, gravity, estimator):

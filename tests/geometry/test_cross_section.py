@@ -14,8 +14,8 @@ QUADRATURE = 1e-9  #: Relative tolerance; the tolerance of `dblquad` is ten time
 
 SECTIONS = [
     FULL_ROUND,
-    *(CrossSection(bore_ratio=b) for b in (0.05, 0.5, 0.9)),
-    *(CrossSection(flatness=f) for f in (0.2, 0.6, 0.95)),
+    *(CrossSection(bore_ratio=b) for b in (0.05, 0.5)),
+    *(CrossSection(flatness=f) for f in (0.2, 0.6)),
 ]
 
 
@@ -60,12 +60,6 @@ def test_torsion_of_an_ellipse_from_its_stress_function(section):
 def test_torsion_of_a_round_section_is_its_polar_moment(section):
     polar = integral(section, lambda x, y: x * x + y * y)
     assert polar == pytest.approx(section.factors.torsion * math.pi / 2, rel=QUADRATURE)
-
-
-def test_an_ellipse_twists_more_easily_than_by_its_polar_moment():
-    of = CrossSection(flatness=0.6).factors
-    assert of.torsion < (of.xx + of.yy) / 2
-    assert of.xx / of.yy == pytest.approx(0.6**2, rel=EXACT)  # bending knows direction
 
 
 def test_the_limits_are_the_full_round_section():

@@ -4,7 +4,6 @@ import json
 from pathlib import Path
 
 import numpy as np
-import pytest
 
 from probedesign.rod.rod import Rod
 
@@ -32,16 +31,6 @@ def differences(case, rigid_radii, finite_strain):
     return off / case["tip_deflection_m"], off_moment / np.linalg.norm(moment)
 
 
-@pytest.mark.parametrize("finite_strain", [True, False])
-@pytest.mark.parametrize("case", CASES, ids=[c["id"] for c in CASES])
-def test_the_root_agrees_and_the_bare_rod_bends_too_much(case, finite_strain):
-    rooted, _ = differences(case, RIGID_RADII, finite_strain)
-    bare, _ = differences(case, 0.0, finite_strain)
-    # The 0.5 %; linear elasticity leaves 0.7 % where the small probe is bent well over and stretched.
-    assert rooted <= (0.005 if finite_strain else 0.007)
-    assert rooted < bare
-
-
 def test_centreline_and_moment_agree_in_the_median_and_at_worst():
     finite, linear, bare = (
         np.array([differences(case, root, strain) for case in CASES])
@@ -55,5 +44,6 @@ def test_centreline_and_moment_agree_in_the_median_and_at_worst():
     assert np.median(linear[:, 0]) <= 5e-4 and linear[:, 0].max() <= 7e-3
     assert np.median(linear[:, 1]) <= 5e-5 and linear[:, 1].max() <= 2.5e-3
     assert finite[:, 1].max() < 0.1 * linear[:, 1].max()
-    # Without the root: 1.3 %.
+    # Without the root: 1.3 %, and worse in every case.
     assert np.median(bare[:, 0]) >= 1e-2
+    assert (np.maximum(finite[:, 0], linear[:, 0]) < bare[:, 0]).all()
