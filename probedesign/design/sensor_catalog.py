@@ -257,7 +257,6 @@ class SensorRecord(Table):
     product: Text
     source: Text
     assumed: Annotated[tuple[str, ...], FromArray] = ()
-    rate_hz: Positive | None = None
     overload_N: Three | None = None
     overload_Nm: Three | None = None
     interface: InterfaceTable
@@ -297,7 +296,6 @@ class SensorRecord(Table):
             source=self.source,
             assumed=self.assumed,
             overload=overload,
-            rate=self.rate_hz,
         )
 
     def _calibration(self, table: CalibrationTable) -> SensorCalibration:

@@ -164,7 +164,6 @@ class SensorModel:
     assumed: tuple[str, ...] = ()
     #: load on one axis that the sensor survives [N, N·m], six numbers; None if it is not known.
     overload: tuple[float, ...] | None = None
-    rate: float | None = None  #: greatest sampling rate [Hz]; None if it is not known.
 
     @property
     def assumed_shape(self) -> tuple[str, ...]:

@@ -262,7 +262,7 @@ def segment(r: float, x: float, z0: float, z1: float, density: float) -> MassPro
     With cos φ = x/r: A = r²(φ − sin φ cos φ), x̄ A = 2/3 r³ sin³ φ,
     ∫x² = r⁴/4 (φ − sin φ cos φ + 2 sin³ φ cos φ), ∫y² = r⁴/12 (3φ − 3 sin φ cos φ − 2 sin³ φ cos φ).
 
-    Source: any table of plane areas (circular segment); the tests integrate it again.
+    Source: any table of plane areas (circular segment).
     """
     phi = float(np.arccos(x / r))
     s, c = np.sin(phi), np.cos(phi)

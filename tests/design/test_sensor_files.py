@@ -328,7 +328,7 @@ def test_a_robot_flange_without_room_names_those_with_room(tmp_path, monkeypatch
 
 def test_a_hole_that_is_still_assumed_is_refused(tmp_path):
     text = (FILES / "nano17.toml").read_text()
-    text = text.replace("rate_hz", 'assumed = ["interface.dowels.depth_mm"]\nrate_hz', 1)
+    text = text.replace("overload_N =", 'assumed = ["interface.dowels.depth_mm"]\noverload_N =', 1)
     (tmp_path / "s.toml").write_text(text)
     with pytest.raises(InputError, match=r"dowels\.depth_mm"):
         load_sensor(tmp_path / "s.toml").sensor.check_holes_known()

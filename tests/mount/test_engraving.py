@@ -1,6 +1,5 @@
 """Test the engraving: legible characters, distances between them and exact masses."""
 
-from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -11,8 +10,7 @@ from probedesign.design.catalog import M2
 from probedesign.design.sensor_catalog import SENSORS
 from probedesign.geometry import ProbeGeometry
 from probedesign.mount import SensorAdapter, build_geometry, sensor_adapter_for
-from probedesign.mount.engraving import CELL, DEPTH, GLYPHS, ROWS, Engraving, cut_outlines, cut_runs, glyph_width
-from probedesign.mount.mass import engraving_mass
+from probedesign.mount.engraving import CELL, GLYPHS, ROWS, Engraving, cut_outlines, cut_runs, glyph_width
 from probedesign.mount.sensor_adapter import WALL
 
 BASES = [3.0, 10.0, 10.5, 12.0, 25.0]
@@ -44,60 +42,6 @@ def test_edges_enclose_the_cut_cells_and_never_meet_at_a_corner(character: str) 
     assert sum(area > 0 for area in twice) == (character != " ")  # one piece, with islands or without
     corners = [p for loop in loops for p in loop]
     assert len(set(corners)) == len(corners)  # a solid that touches itself along an edge has no closed mesh
-
-
-def sampled(engraving: Engraving, fine: int = 40) -> tuple[float, np.ndarray, np.ndarray]:
-    """Integrate area, mean (x, y) and ∫ r rᵀ of the engraved cells about the axis for any rotation by small squares."""
-    at = (np.arange(fine) + 0.5) / fine
-    points = []
-    for character, azimuth in zip(engraving.text, engraving.azimuths, strict=True):
-        right, up = (np.array([np.sin(azimuth), -np.cos(azimuth)]), np.array([np.cos(azimuth), np.sin(azimuth)]))
-        for start, end, row in cut_runs(character):
-            for column in range(start, end):
-                u = (column + at - glyph_width(character) / 2) * CELL
-                v = engraving.radius + (row + at - ROWS / 2) * CELL
-                points.append((u[:, None, None] * right + v[None, :, None] * up).reshape(-1, 2))
-    p = np.concatenate(points)
-    small = (CELL / fine) ** 2
-    return len(p) * small, p.mean(axis=0), small * np.einsum("ij,ik->jk", p, p)
-
-
-def test_the_engraving_mass_is_exact() -> None:
-    a = adapter_of(12.0)
-    cut = replace(a.on_ring, top=0.0)
-    assert cut.text == f"{a.fingerprints['clamp_ring']} large"
-    area, mean, second = sampled(cut)
-    body = engraving_mass(cut, 1010.0)
-    assert body.volume == pytest.approx(area * DEPTH, rel=1e-12)
-    assert body.p_com == pytest.approx([*mean, -DEPTH / 2], abs=1e-12)
-    about_axis = body.inertia_about(np.array([0.0, 0.0, -DEPTH / 2]))
-    # Squares of a fortieth of a cell leave out their own 1/6 · 1/40² · CELL²: 1e-6 of the whole.
-    assert about_axis[2, 2] == pytest.approx(1010.0 * DEPTH * np.trace(second), rel=1e-5)
-    assert -about_axis[0, 1] == pytest.approx(1010.0 * DEPTH * second[0, 1], rel=1e-4)
-
-
-def test_the_mass_of_an_engraving_in_a_rim_is_exact() -> None:
-    """Against sums of thin bars in polar coordinates: what lies between the rim and a plane at the depth."""
-    cut = adapter_of(12.0).on_flange
-    assert cut.on_side and cut.text == "dbfe0"
-    R, points, mass = cut.radius, [], []
-    for character, azimuth in zip(cut.text, cut.azimuths, strict=True):
-        for start, end, row in cut_runs(character):
-            edges = CELL * (np.linspace(start, end, 2001) - glyph_width(character) / 2)
-            u = (edges[1:] + edges[:-1]) / 2
-            outer, inner = np.sqrt(R * R - u * u), R - DEPTH
-            v = cut.top + CELL * (row + 0.5 - ROWS / 2)
-            radial, along = np.array([np.cos(azimuth), np.sin(azimuth)]), np.array([-np.sin(azimuth), np.cos(azimuth)])
-            xy = ((outer + inner) / 2)[:, None] * radial + u[:, None] * along
-            points.append(np.column_stack([xy, np.full(len(u), v)]))
-            mass.append(1010.0 * CELL * np.diff(edges) * (outer - inner))
-    p, m = np.concatenate(points), np.concatenate(mass)
-    body = engraving_mass(cut, 1010.0)
-    assert body.mass == pytest.approx(m.sum(), rel=1e-6)  # midpoints of 2,000 strips
-    assert body.p_com == pytest.approx(m @ p / m.sum(), abs=1e-9)
-    # About z the strips' own extents, 0.4 mm and 1/2000 of a bar, count 1/12 · 0.4² of 8² mm²: 2e-4.
-    about_z = body.inertia_about(np.zeros(3))[2, 2]
-    assert about_z == pytest.approx(float(m @ (p[:, :2] ** 2).sum(axis=1)), rel=3e-4)
 
 
 def corners_of(engraving: Engraving) -> list[np.ndarray]:

@@ -1,7 +1,5 @@
 """Test closed forms and screws of the mount."""
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 
@@ -9,73 +7,13 @@ from probedesign.core.errors import InputError
 from probedesign.core.frames import is_pose, rotation_z
 from probedesign.design import Design
 from probedesign.design.sensor_catalog import SENSORS
-from probedesign.mount import (
-    Mount,
-    SensorAdapter,
-    build_geometry,
-    exported_root_radii,
-    mount_mass_properties,
-    mount_part_masses,
-    sensor_adapter_for,
-)
-from probedesign.mount.mass import cylinder, hexagon, segment, strip, subtract
+from probedesign.mount import Mount, SensorAdapter, build_geometry, exported_root_radii, sensor_adapter_for
 from probedesign.probe import build_probe
 from tests.cad.conftest import design_of as make_design
 
 
 def adapter_of(design: Design) -> SensorAdapter:
     return sensor_adapter_for(build_geometry(design), design.sensor_model)
-
-
-def moments(width_at: Callable[[np.ndarray], np.ndarray], x0: float, x1: float) -> tuple[float, float, float, float]:
-    """Integrate area, mean x, ∫x² about the mean and ∫y² of a shape with height `width_at(x)` by strips."""
-    edges = np.linspace(x0, x1, 200_001)
-    x, dx = (edges[1:] + edges[:-1]) / 2, edges[1] - edges[0]
-    w = width_at(x)
-    area = float(np.sum(w) * dx)
-    mean = float(np.sum(w * x) * dx) / area
-    return area, mean, float(np.sum(w * (x - mean) ** 2) * dx), float(np.sum(w**3) * dx) / 12.0
-
-
-def test_segment_is_the_integral_over_its_strips() -> None:
-    r, x, h = 15.0, 14.2, 2.0
-    area, mean, Iy, Ix = moments(lambda x: 2 * np.sqrt(r * r - x * x), x, r)
-    body = segment(r, x, 1.0, 1.0 + h, density=1.0)
-    # 200 000 strips of a square-root edge: the midpoint rule is good to about 1e-8.
-    assert body.volume == pytest.approx(area * h, rel=1e-7)
-    assert body.p_com == pytest.approx([mean, 0.0, 2.0], rel=1e-7)
-    slab = body.mass * h * h / 12
-    assert np.diag(body.inertia) == pytest.approx([Ix * h + slab, Iy * h + slab, (Ix + Iy) * h], rel=1e-6)
-
-
-def test_a_strip_to_the_rim_is_the_integral_over_its_strips() -> None:
-    r, x0, half = 15.0, 12.0, 2.1
-    area, _, Ix, _ = moments(lambda y: np.sqrt(r * r - y * y) - x0, -half, half)
-    body = strip(r, x0, half, 0.0, 2.0, density=1.0)
-    # The midpoint rule over 200 000 smooth strips is good to about 1e-11.
-    assert body.volume == pytest.approx(2.0 * area, rel=1e-9)
-    assert body.inertia[0, 0] == pytest.approx(2.0 * Ix + body.mass * 4.0 / 12.0, rel=1e-9)
-    disc, rest = cylinder(2 * r, 0.0, 2.0, 1.0), strip(r, 0.0, r, 0.0, 2.0, 1.0)
-    assert rest.volume == pytest.approx(disc.volume / 2, rel=1e-4)  # square-root ends: Gauss is good to 1e-5
-
-
-def test_hexagon_is_the_integral_over_its_strips() -> None:
-    af, h = 4.2, 3.5
-    corner = af / np.sqrt(3.0)
-    area, _, Iy, Ix = moments(lambda x: np.minimum(af, 2 * np.sqrt(3.0) * (corner - abs(x))), -corner, corner)
-    body = hexagon(af, 0.0, h, 1.0, (3.0, -1.0))
-    # Straight edges: the midpoint rule is good to the square of the strip's width, 1e-9.
-    assert body.volume == pytest.approx(area * h, rel=1e-8)
-    assert body.inertia[2, 2] == pytest.approx((Ix + Iy) * h, rel=1e-8)
-    assert body.p_com == pytest.approx([3.0, -1.0, h / 2])
-
-
-def test_a_tube_is_a_rod_without_its_bore() -> None:
-    tube = subtract(cylinder(10.0, 0.0, 4.0, 2.0), [cylinder(6.0, 0.0, 4.0, 2.0)])
-    m = 2.0 * np.pi / 4 * (100 - 36) * 4
-    assert tube.mass == pytest.approx(m)  # sums of a few terms: pytest's 1e-6 is ample
-    assert tube.inertia[2, 2] == pytest.approx(m * (5.0**2 + 3.0**2) / 2)
-    assert tube.inertia[0, 0] == pytest.approx(m * (3 * (25 + 9) + 16) / 12)
 
 
 def test_base_sits_straight_above_the_tool_face_and_screws_into_the_sensor_keep_its_limits() -> None:
@@ -113,18 +51,6 @@ def test_adapter_fits_together(base_d: float) -> None:
     assert base_d * 1e-3 < a.ring_bore_d < a.ring_bore_top_d < a.flange.diameter
     inner_end = np.hypot(*a.p_ring_screws[0]) - a.nut_slot_reach - a.nut_slot_width / 2
     assert inner_end > a.recess_d / 2 > a.foot_d / 2  # nuts lie beside recess and sensor
-
-
-def test_the_mount_mass_is_the_sum_of_its_parts() -> None:
-    geometry = build_geometry(make_design())
-    adapter = sensor_adapter_for(geometry, SENSORS["nano17"])
-    whole = mount_mass_properties(geometry, adapter, 1010.0)
-    parts = mount_part_masses(geometry, adapter, 1010.0)
-    gravity = np.array([3.0, -5.0, 8.0])
-    assert whole.wrench(gravity) == pytest.approx(sum(p.wrench(gravity) for p in parts.values()))
-    assert 5e-3 < whole.mass < 15e-3  # ten grams, beside a sensor that weighs nine
-    # Pins, peg and window are not symmetric; the window removes 0.2 g of 10 g at 12 mm from the axis.
-    assert abs(whole.p_com[:2]).max() < 0.4e-3
 
 
 @pytest.mark.parametrize(("base_d", "computed"), [(4.0, -0.319), (8.0, -0.239), (12.0, -0.177), (20.0, -0.099)])
