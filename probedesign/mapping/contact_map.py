@@ -16,6 +16,7 @@ from probedesign.core import csv_tables, statistics
 from probedesign.core.frames import Array
 from probedesign.core.units import MILLINEWTON, MM
 from probedesign.estimation.fusion_state import HALF_NORMAL
+from probedesign.live.processing.estimates import COVARIANCE
 from probedesign.mapping.touch_point import RESULT_MEANINGS, ConditionalPoint, LocatedTouch
 
 MIN_SEPARATION = 5e-3  #: Default distance below which points of an object are not distinguished [m].
@@ -137,11 +138,10 @@ def _closest_pair(points: Sequence[ConditionalPoint], min_separation: float) -> 
 
 # Tables and text
 
-COVARIANCE_ENTRIES = (("xx", 0, 0), ("xy", 0, 1), ("xz", 0, 2), ("yy", 1, 1), ("yz", 1, 2), ("zz", 2, 2))
 #: A row is a point, or a touch that was not located: it has a result code, but neither number nor position.
 COLUMNS = (
     "point", "result", "x_world_mm", "y_world_mm", "z_world_mm",
-    *(f"cov_world_{name}_mm2" for name, _, _ in COVARIANCE_ENTRIES),
+    *(f"cov_world_{name}_mm2" for name, _, _ in COVARIANCE),
     "rms_mm", "common_rms_mm", "touches", "touch_numbers", "time_s", "force_N", "s_contact_mm",
 )  # fmt: skip
 Row = dict[str, Any]
@@ -156,7 +156,7 @@ def map_rows(contact_map: ContactMap) -> list[Row]:
         s_contact = np.concatenate([touch.s_contact for touch in point.touches if touch.s_contact is not None])
         values = (
             number, "ok", *(point.p_world / MM).tolist(),
-            *(float(point.cov_world[i, j]) / MM**2 for _, i, j in COVARIANCE_ENTRIES), point.rms / MM,
+            *(float(point.cov_world[i, j]) / MM**2 for _, i, j in COVARIANCE), point.rms / MM,
             statistics.rms(point.cov_common) / MM, len(point.touches), touch_numbers(point),
             point.touches[0].segment.start, point.force, float(s_contact.mean()) / MM,
         )  # fmt: skip

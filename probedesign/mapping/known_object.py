@@ -202,13 +202,12 @@ def locate_object(
     std_force = math.sqrt(0.5 * friction**2 + FORCE_NOISE**2)
     L = np.linalg.cholesky(prior.cov)
     starts = [np.zeros(6), *(L @ np.random.default_rng(seed).normal(size=(STARTS - 1, 6)).T).T]
-    everything = np.arange(len(touches))
     fits = [_fitted(touches, of, prior, start, std_force, robust=True) for start in starts]
     by = min(fits, key=lambda fit: fit[0])[1]
     distance, normals, _ = _faces(touches, of, prior.moved(by))
     std = np.sqrt(np.einsum("na,nab,nb->n", normals, touches.own_cov, normals) + MIN_STD**2)
-    kept = everything[np.abs(distance) <= MAX_SIGMAS * std]
-    used = touches.subset(kept)
+    near = np.abs(distance) <= MAX_SIGMAS * std
+    used = touches.subset(np.flatnonzero(near))
     for _ in range(3):
         _, by, H = _fitted(used, of, prior, by, std_force, robust=False)
     distance, normals, beside = _faces(used, of, prior.moved(by))
@@ -220,7 +219,7 @@ def locate_object(
         prior.moved(by),
         cov=np.asarray(np.linalg.inv(H), dtype=float),
         touches=used.labels,
-        left_out=tuple(touches.labels[i] for i in np.setdiff1d(everything, kept)),
+        left_out=tuple(touches.labels[i] for i in np.flatnonzero(~near)),
         chance=0.0 if inward else float(chi2.sf(d @ d + b @ b, len(used))),
     )
 

@@ -14,8 +14,8 @@ from probedesign.core import statistics
 from probedesign.core.frames import Array, pose
 from probedesign.core.svg import Canvas, element
 from probedesign.core.units import MILLINEWTON, MM
+from probedesign.live.processing.estimates import COVARIANCE
 from probedesign.mapping.contact_map import (
-    COVARIANCE_ENTRIES,
     MAX_RMS_MM,
     MIN_RMS_MM,
     ContactMap,
@@ -312,14 +312,14 @@ def _data(scene: MapScene) -> dict[str, Any]:
                 "lines": [(line / MM).tolist() for line in shape.outlines],
                 "ends": (shape.ends / MM).tolist(),
                 "step": max(step.get(label, 0) for label in shape.touches),
-                "covs": [[float(cov[i, j] / MM**2) for _, i, j in COVARIANCE_ENTRIES] for cov in shape.end_covs],
+                "covs": [[float(cov[i, j] / MM**2) for _, i, j in COVARIANCE] for cov in shape.end_covs],
             }
             for shape in scene.shapes
         ],
         "points": [
             {
                 "p": (point.p_world / MM).tolist(),
-                "cov": [float(point.cov_world[i, j] / MM**2) for _, i, j in COVARIANCE_ENTRIES],
+                "cov": [float(point.cov_world[i, j] / MM**2) for _, i, j in COVARIANCE],
                 "step": min(step[touch.label] for touch in point.touches),
                 "stroke": scene.strokes[point.touches[0].probe],
                 "colour": hex_colour(point.rms / MM), "text": point_line(number, point),

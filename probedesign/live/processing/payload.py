@@ -439,8 +439,8 @@ def calibrate(model: ProbeModel, rests: Sequence[Rest], gravity_world: Array, *,
     from scipy.optimize import least_squares
     from scipy.spatial.transform import Rotation
 
-    _check_turns([rest.R for rest in rests], gravity_world, "flange" if tool else "base")
     R = [rest.R for rest in rests]
+    _check_turns(R, gravity_world, "flange" if tool else "base")
     time = np.array([rest.time for rest in rests])
     middle = float(time.mean())
     down = np.array([each.T @ gravity_world for each in R])
@@ -451,10 +451,8 @@ def calibrate(model: ProbeModel, rests: Sequence[Rest], gravity_world: Array, *,
     linear = np.column_stack([np.ones(len(rests)), down, *([time - middle] if len(rests) > 7 else [])])
     kept = _regular(linear, wrench - rod)
     dropped = tuple(float(t) for t in time[~kept])
-    rests, time, down, wrench, rod, linear = (
-        [rest for rest, k in zip(rests, kept, strict=True) if k], time[kept], down[kept], wrench[kept], rod[kept],
-        linear[kept],
-    )  # fmt: skip
+    rests = [rest for rest, k in zip(rests, kept, strict=True) if k]
+    time, down, wrench, rod, linear = (each[kept] for each in (time, down, wrench, rod, linear))
     n, std = len(rests), np.array([rest.std for rest in rests])
     if tool:
         by_gravity = np.linalg.lstsq(linear, wrench[:, :3], rcond=None)[0][1:4].T
