@@ -22,16 +22,13 @@ from probedesign.estimation.estimate import Estimate
 from probedesign.live.blocks import Block, WrenchReading, dropout_block
 from probedesign.live.outputs.recording import RecordingSink
 from probedesign.live.poses.base_poses import pose_from_matrix
-from probedesign.live.processing.chain import ProcessingOptions
-from probedesign.live.processing.estimates import COLUMNS, EstimateUpdate, estimate_row, json_line
-from probedesign.live.processing.tare import TareWindow
+from probedesign.live.processing.estimates import COLUMNS, EstimateUpdate
 from probedesign.live.recordings import schemas
 from probedesign.live.recordings.mcap_read import recover
 from probedesign.live.recordings.mcap_write import McapRecorder
-from probedesign.live.run import estimate_recording, estimate_stream
+from probedesign.live.run import estimate_recording
 from probedesign.live.sources.replay import RecordingOptions, ReplaySource
-from probedesign.live.sources.sim import SimulatedSource
-from tests.live.mcap_files import GRAVITY, TIME_ROUNDING, block, messages_of, read, same, write
+from tests.live.mcap_files import GRAVITY, block, messages_of, read, same, write
 from tests.live.peers import until
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -42,11 +39,6 @@ few = settings(max_examples=40, deadline=None, suppress_health_check=[HealthChec
 @pytest.fixture(scope="module")
 def whole(model, tmp_path_factory) -> Path:
     return write(tmp_path_factory.mktemp("mcap") / "whole.mcap", model, BLOCKS)
-
-
-def rows(answers) -> list[str]:
-    """What `--json` prints, without what only a simulation knows."""
-    return [json_line(estimate_row(replace(answer.reading, truth=None), answer.estimate)) for answer in answers]
 
 
 # What is written is what was read
@@ -103,36 +95,6 @@ def test_a_time_that_a_recording_cannot_hold_ends_it_with_a_line(model, tmp_path
     assert log_lines[1].startswith(f"recorded 5 readings to {path}; it ended early: time {time:.6g} s is outside")
     recorded, blocks = read(path, model)
     assert [same(each, block(0, 5)) for each in blocks] == [True] and not recorded.missing()
-
-
-def test_a_replay_gives_the_same_rows_at_times_equal_to_a_nanosecond(estimator, tmp_path):
-    """Tared and averaged; `estimate` gives them too. The wrenches are equal to the last bit. The variance of the bias'
-    drift grows with the interval between means, 1/8 s, and with it vary all numbers of an estimate: relatively by no
-    more than the interval of two rounded times does, 1 ns of it."""
-
-    def parts(line):
-        row = json.loads(line)
-        numbers = {name: value for name, value in row.items() if isinstance(value, float)}
-        return numbers.pop("time_s"), numbers, {name: row[name] for name in row.keys() - numbers.keys() - {"time_s"}}
-
-    path, plan = tmp_path / "live.mcap", ProcessingOptions(TareWindow(0.0, 1.7), samples=3)
-    file = McapRecorder(path, estimator.model)
-    sim = SimulatedSource(estimator.model, "speed=max&rate_hz=24&seconds=6")
-    answers = list(estimate_stream(estimator, sim, plan, print, file))
-    file.close()
-    replayed = list(estimate_stream(estimator, ReplaySource(estimator.model, path, "speed=max"), plan, print))
-    assert [answer.reading.wrench_sensor.tobytes() for answer in replayed] == [
-        answer.reading.wrench_sensor.tobytes() for answer in answers
-    ]
-    before = rows(answers)
-    offline = estimate_recording(estimator, path, TareWindow(0.0, 1.7), 3).rows
-    for after in (rows(replayed), [json_line(each) for each in offline][-len(before) :]):
-        for line, line_before in zip(after, before, strict=True):
-            (time, numbers, others), (time_before, numbers_before, others_before) = parts(line), parts(line_before)
-            assert time == pytest.approx(time_before, abs=TIME_ROUNDING)
-            assert numbers == pytest.approx(numbers_before, rel=2.0 * TIME_ROUNDING / (3 / 24), abs=0.0)
-            assert others == others_before
-    assert sum('"ok"' in line for line in before) > 10
 
 
 # Others read it

@@ -43,14 +43,6 @@ def test_loss_disorder_and_rubbish_are_counted_and_change_no_reading(estimator):
     assert (np.abs(mean_of(reader.readings) - LOAD - OFFSET) <= close(estimator, 1000) + 1e-6).all()
 
 
-def test_the_clock_passes_the_end_of_its_32_bits(estimator):
-    with box(estimator, initial_samples=2**32 - 300) as peer, Reader(peer, estimator) as reader:
-        reader.more(400)
-    times = [r.time for r in reader.readings]
-    assert reader.source.counts["restarts"] == 0
-    assert (np.diff(times) > 0.0).all() and times[-1] < 60.0
-
-
 def assert_events_in_order(reader) -> None:
     """Silence is in the stream and reported, after the last reading before it and before the first after; the readings
     beyond it are of another stretch."""

@@ -315,9 +315,6 @@ def test_what_a_bag_does_not_hold(bag, query, stated):
     assert stated in str(error.value)
 
 
-@pytest.mark.parametrize("name", ["empty.mcap", "empty.db3", "folder"])
-def test_what_is_no_bag(name, tmp_path):
-    path = tmp_path / name
-    path.mkdir() if name == "folder" else path.write_bytes(b"not a bag")
-    with pytest.raises(InputError, match=r"cannot be read as a ROS 2 bag|not an MCAP file"):
-        open_poses(str(path))
+def test_an_empty_folder_is_no_bag(tmp_path):
+    with pytest.raises(InputError, match="cannot be read as a ROS 2 bag"):
+        open_poses(str(tmp_path))
