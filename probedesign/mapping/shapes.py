@@ -476,8 +476,8 @@ class ShapeFit:
             side = np.where(self.touches.force @ sheet.frame[:, 2] < 0.0, -1.0, 1.0)  # a thin body has two sides
             force = np.where(at_rim, 0.0, side)[:, None] * self.touches.force
             touches = replace(self.touches, force=force, beyond=np.where(at_rim, np.nan, self.touches.beyond))
-            chosen_ones = touches.subset(self._indices(sheet.touches))
-            fit = self.fitted(sheet, chosen_ones) if margin >= MIN_ODDS else None
+            of_sheet = touches.subset(self._indices(sheet.touches))
+            fit = self.fitted(sheet, of_sheet) if margin >= MIN_ODDS else None
             if fit is not None:
                 sure = {"plane": 1.0 / (1.0 + math.exp(-margin))}
                 yield replace(fit, rim=sheet.rim, odds=sheet.odds, probabilities=sure)

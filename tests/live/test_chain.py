@@ -215,27 +215,20 @@ def test_without_a_pose_there_is_no_number(estimator, motion):
     ]
 
 
-def test_a_requested_tare_is_taken_while_free_and_refused_during_contact(estimator, motion):
+def test_a_requested_tare_is_taken_while_free_and_refused_during_contact_and_where_one_begins(estimator, motion):
     stream = (b for b in touch(motion) if b.time[-1] < 8.5)
-    _, lines, chain = run(estimator, stream, reported_poses(motion), ask=[2.5, 2.7, 7.9])
+    _, lines, chain = run(estimator, stream, reported_poses(motion), ask=[2.5, 2.7, 4.9, 7.9])
     stated = [line for line in lines if line.startswith("tare")]
     assert stated[0].startswith("tare from 200 readings in 0:2 s: Fx 30")
-    assert stated[1] == "tare: keep the probe free and still for 2 s"
+    assert stated[1] == stated[4] == "tare: keep the probe free and still for 2 s"
     assert stated[2] == "tare refused: a tare is already being taken"
     assert stated[3].startswith("tare from 200 readings in 2.5")
+    assert stated[5].startswith("tare refused: the probe is moving")
     refusals = {f"tare refused: the probe is {p}; the previous tare is kept" for p in ("touching", "settled")}
-    assert stated[4].split(", unless")[0] in refusals and stated[4].endswith('asked for with "force"')
-    assert len(stated) == 5
+    assert stated[6].split(", unless")[0] in refusals and stated[6].endswith('asked for with "force"')
+    assert len(stated) == 7 and chain.tare.window.start == pytest.approx(2.5, abs=0.1)
     noise = estimator.model.noise.std
     assert (np.abs(chain.tare.bias_sensor - BIAS) < 5.0 * noise / np.sqrt(200.0)).all()
-
-
-def test_a_tare_that_is_touched_meanwhile_is_refused(estimator, motion):
-    stream = (b for b in touch(motion) if b.time[-1] < 8.5)
-    _, lines, chain = run(estimator, stream, reported_poses(motion), ask=[4.9])
-    refused = [line for line in lines if line.startswith("tare refused: the probe is moving")]
-    assert len(refused) == 1
-    assert chain.tare.window == TareWindow(0.0, 2.0)
 
 
 def test_the_first_tare_may_be_requested(estimator, motion):

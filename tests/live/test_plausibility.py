@@ -192,12 +192,9 @@ def test_noise_beyond_that_of_samples_is_not_averaged_longer(estimator):
     found = choose_averaging(np.arange(64) / 1000.0, noise * rng.normal(size=(64, 6)), model)
     assert found.samples == model.averaging_samples and "noise of single samples" in found.summary
     assert found.duration == pytest.approx(model.averaging_samples / 1000.0)
-
-
-def test_without_noise_the_rate_decides(estimator):
-    still = np.tile(np.arange(6.0), (64, 1))
-    for rate, samples in ((100.0, 1), (7000.0, estimator.model.averaging_samples)):
-        assert choose_averaging(np.arange(64) / rate, still, estimator.model).samples == samples
+    still = np.tile(np.arange(6.0), (64, 1))  # without noise the rate decides
+    for rate, samples in ((100.0, 1), (7000.0, model.averaging_samples)):
+        assert choose_averaging(np.arange(64) / rate, still, model).samples == samples
 
 
 @pytest.mark.parametrize("rate", [10.0, 50.0, 194.0])
@@ -256,20 +253,18 @@ def mounted(estimator, free, tmp_path_factory):
     return path
 
 
-def test_a_zero_that_was_never_taken_has_no_position(estimator, mounted):
-    rows = estimate_recording(estimator, mounted).rows
-    assert {row["result"] for row in rows} == {"no_tare"}
-    updates, lines = replayed(estimator, mounted, ProcessingOptions())
-    assert {u.estimate.result for u in updates} == {"no_tare"} and {u.phase for u in updates} == {""}
-    assert sum("--tare auto" in line for line in lines) == 1
-
-
-def test_an_automatic_tare_takes_the_first_rest(estimator, mounted):
-    rows = estimate_recording(estimator, mounted, zero="auto").rows
-    assert {row["result"] for row in rows} == {"no_contact"}
-    updates, _ = replayed(estimator, mounted, ProcessingOptions(zero="auto"))
-    assert {u.estimate.result for u in updates} == {"no_contact"}
-    assert updates[0].reading.time == pytest.approx(1.0, abs=0.1)
+@pytest.mark.parametrize(("zero", "result"), [("checked", "no_tare"), ("auto", "no_contact")])
+def test_a_zero_that_was_never_taken_has_no_position_and_an_automatic_tare_takes_the_first_rest(
+    estimator, mounted, zero, result
+):
+    rows = estimate_recording(estimator, mounted, zero=zero).rows
+    assert {row["result"] for row in rows} == {result}
+    updates, lines = replayed(estimator, mounted, ProcessingOptions(zero=zero))
+    assert {u.estimate.result for u in updates} == {result}
+    if zero == "auto":
+        assert updates[0].reading.time == pytest.approx(1.0, abs=0.1)
+    else:
+        assert {u.phase for u in updates} == {""} and sum("--tare auto" in line for line in lines) == 1
 
 
 def test_an_automatic_tare_waits_for_rest_and_names_its_reason_without_a_window(estimator, mounted, tmp_path):

@@ -154,9 +154,6 @@ def test_what_does_not_belong_together_is_refused_in_one_line(bundles, capfd, ar
     assert run(["live", *bundles, *arguments]) == 2
     line = capfd.readouterr().err
     assert expected in line and line.count("\n") == 1
-
-
-def test_two_probes_of_one_name_are_refused(bundles, capfd):
     assert run(["live", bundles[0], bundles[0], *SOURCES]) == 2
     assert "two probes are named left" in capfd.readouterr().err
 
