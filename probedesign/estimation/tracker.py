@@ -1,6 +1,6 @@
 """Recursive fusion: bounded time and memory; its state is cleared when contact is lost.
 
-Readings from nearly one pose are kept as their mean, a keyframe; at most `keyframes` are kept, and the two that lie
+Readings from nearly one pose are kept as their mean, a keyframe; at most `KEYFRAMES` are kept, and the two that lie
 closest are merged if there is one more. Each update puts its reading into the last keyframe and solves all of
 them as they were linearised last; now and then, and where a keyframe is new, all are linearised anew. So the result is
 that of the batch over the keyframes' means.
@@ -22,13 +22,13 @@ from probedesign.estimation import fusion_kernel
 from probedesign.estimation.bias import BiasFilter, KnownBias
 from probedesign.estimation.detector import Detector, Touching
 from probedesign.estimation.error_sources import ErrorSources, across
-from probedesign.estimation.estimate import FusedEstimate, MomentsAbout, Result
+from probedesign.estimation.estimate import FusedEstimate, Result
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.fusion import Fusion, Posterior, Reading
 from probedesign.estimation.fusion_state import PRESSED_FRICTION, SINGLE_FRICTION, FusionState, channels_of, creep_since
-from probedesign.estimation.model import WALK_SECONDS, Tolerances
+from probedesign.estimation.model import WALK_SECONDS
 
-MAX_KEYFRAMES = 8
+KEYFRAMES = 8  #: Kept at most.
 #: Readings of the last keyframe at which all keyframes are linearised anew: its first ones move the point most.
 LINEARISED_AT = (2.0, 4.0, 8.0, 16.0, 32.0)
 LINEARISED_EVERY = 4  #: Readings, times the number of keyframes, after which they are linearised anew in any case.
@@ -137,12 +137,8 @@ class Tracker:
     """Locates one fixed point of the world while the probe touches it, reading by reading."""
 
     estimator: Estimator  #: of the probe.
-    priors: Tolerances | None = None  #: standard deviations of the error sources; those of the estimator if None.
     gravity_world: ArrayLike = (0.0, 0.0, -9.81)  #: [m/s²], (3,).
-    moments_only: bool = False  #: moments_only, moments_about: as in `Estimator.fuse`.
-    moments_about: MomentsAbout = "sensor"
     rate: float = 7000.0  #: of readings [Hz].
-    keyframes: int = MAX_KEYFRAMES  #: kept at most.
     #: number of readings whose mean has the noise of the model: None for single samples of the sensor, 1 for readings
     #: that are such means.
     samples: int | None = None
@@ -153,9 +149,7 @@ class Tracker:
         self._gravity_world = np.asarray(self.gravity_world, dtype=float)
         if self._gravity_world.shape != (3,) or not np.isfinite(self._gravity_world).all():
             raise InputError(f"gravity_world = {self.gravity_world} must be three finite numbers in m/s²")
-        if self.keyframes < 2:
-            raise InputError(f"keyframes = {self.keyframes} must be 2 or more")
-        model, priors = self.estimator.model, self.priors or self.estimator.priors
+        model, priors = self.estimator.model, self.estimator.priors
         samples = model.averaging_samples if self.samples is None else self.samples
         self._detector = Detector(
             model, self.rate, samples=samples, walk_steps=priors.walk_steps, start_steps=priors.drift_steps
@@ -164,12 +158,11 @@ class Tracker:
         self._axes, self._apart = across(self._gravity_world), max(_APART, 3.0 * priors.robot_mm * MM)
         self._walk = priors.walk_steps**2 / WALK_SECONDS
         self._walk_rate = self._walk * model.averaging_samples / samples
-        channels = channels_of(model, self.moments_about if self.moments_only else None)
         self._noise = model.noise_base() * samples
-        self._whiten = np.ascontiguousarray(statistics.whiten(channels @ self._noise @ channels.T))
+        self._whiten = np.ascontiguousarray(statistics.whiten(self._noise))
         free = self.estimator.free(model.gravity_base)
         sources = ErrorSources.of(model, priors, model.gravity_base, free, posed=True)
-        self._state = FusionState(model, priors, channels, sources, self.keyframes + 1)  # one keyframe too many
+        self._state = FusionState(model, priors, channels_of(model, None), sources, KEYFRAMES + 1)  # one too many
         self._time, self._gravity = -math.inf, np.empty(3)
         self._touch: _Touch | None = None
 
@@ -230,12 +223,10 @@ class Tracker:
         if last is not None:
             far, gap = self._gap(last.T, T)
             # In the second case it would become a keyframe that is merged with the last one at once.
-            if gap <= self._apart or (
-                len(frames) == self.keyframes and not far and (far, gap) <= min(self._gaps(frames))
-            ):
+            if gap <= self._apart or (len(frames) == KEYFRAMES and not far and (far, gap) <= min(self._gaps(frames))):
                 last.take_in(wrench, T, self._time)
                 return
-        row = next(i for i in range(self.keyframes + 1) if all(frame.row != i for frame in frames))
+        row = next(i for i in range(KEYFRAMES + 1) if all(frame.row != i for frame in frames))
         state.wrench[row], state.pose[row] = wrench, T
         state.touches[row] = 0.0 if last is None else state.touches[last.row]
         if last is not None and np.array_equal(state.sources[last.row].gravity, self._gravity):
@@ -248,7 +239,7 @@ class Tracker:
             )  # fmt: skip
         touch.tared = touch.tared or state.sources[row]
         frames.append(Keyframe(row, state.wrench[row], state.pose[row], self._time, self._time))
-        if len(frames) > self.keyframes:
+        if len(frames) > KEYFRAMES:
             self._join(touch)
 
     def _gaps(self, frames: list[Keyframe]) -> list[tuple[bool, float]]:
@@ -387,17 +378,12 @@ class Tracker:
 
     def _begin(self, touch: _Touch) -> FusedEstimate:
         """Start at the first reading and then ever more rarely; between, return the last result, never "ok"."""
-        several = len(touch.keyframes) > 1
-        if self.moments_only and not several:
-            touch.result = FusedEstimate("unobservable")
-            return touch.result
         touch.missed += 1
         if touch.missed < touch.wait:
             return touch.result
         touch.missed, touch.wait = 0, min(2 * touch.wait, MAX_WAIT)
-        # Moments alone may have rivals that one reading does not show; of one pose, a batch knows no more.
-        result = FusedEstimate("not_converged") if self.moments_only else self._from_one(touch)
-        if result.result not in ("ok", "too_light") and several:
+        result = self._from_one(touch)
+        if result.result not in ("ok", "too_light") and len(touch.keyframes) > 1:  # of one pose, a batch knows no more
             result = self._from_batch(touch)
         return self._remember(touch, result)
 

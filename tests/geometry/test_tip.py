@@ -100,7 +100,7 @@ def test_touches_of_the_flank_are_located_up_to_the_rounding(s_mm: float) -> Non
 STUBBY = {"length_mm": 60.0, "base_d_mm": 12.0, "tip_d_mm": 6.0}
 
 
-@pytest.mark.parametrize("lean_deg", [15.0, 30.0, 60.0, 80.0])
+@pytest.mark.parametrize("lean_deg", [15.0, 60.0])
 @pytest.mark.parametrize(("body", "force_N"), [(BODIES[0], 0.005), (STUBBY, 0.02), (STUBBY, 0.15)])
 def test_a_touch_of_the_round_end_is_located_at_the_centre_of_its_sphere(
     body: dict[str, object], force_N: float, lean_deg: float
@@ -126,8 +126,7 @@ def test_a_touch_of_the_round_end_is_located_at_the_centre_of_its_sphere(
         assert found.result in ("ok", "interval_only") and abs(best.s_contact - s) < 3.0 * best.std_s
 
 
-@pytest.mark.parametrize("lean_deg", [30.0, 60.0])
-@pytest.mark.parametrize("side_deg", [20.0, 90.0, 140.0])
+@pytest.mark.parametrize(("side_deg", "lean_deg"), [(20.0, 30.0), (90.0, 45.0), (140.0, 60.0)])
 def test_a_touch_of_the_round_end_of_an_elliptic_probe_is_located_on_its_ellipsoid(
     side_deg: float, lean_deg: float
 ) -> None:
