@@ -33,7 +33,6 @@ from probedesign.identification.solver import (
     READING_KINDS,
     REJECTION_CHANCE,
     Fit,
-    LeastSquaresProblem,
     Linearization,
     chi2_words,
     fit,
@@ -379,12 +378,6 @@ class Hypothesis(NamedTuple):
     loose: Sequence[int] = ()  #: entries of the parameter vector whose priors are widened by `LOOSE`.
     price: float = 0.0  #: logarithm of the number of hypotheses of this kind among which it was selected.
 
-    def applied(self, problem: LeastSquaresProblem) -> LeastSquaresProblem:
-        """Return a problem without the mistake."""
-        prior = problem.prior.copy()
-        prior[list(self.loose)] *= LOOSE
-        return replace(problem, tests=tuple(map(self.change, problem.tests)), prior=prior)
-
 
 @dataclass(frozen=True)
 class LikelyCause:
@@ -431,7 +424,9 @@ def _fitted(stated: Linearization, hypotheses: Sequence[Hypothesis]) -> list[Lik
     """Return the hypotheses that the tests speak for, the likeliest first."""
     starts, before = [], stated.loss({})
     for hypothesis in hypotheses:
-        changed = hypothesis.applied(stated.problem)
+        prior = stated.problem.prior.copy()
+        prior[list(hypothesis.loose)] *= LOOSE
+        changed = replace(stated.problem, tests=tuple(map(hypothesis.change, stated.problem.tests)), prior=prior)
         if hypothesis.loose:
             start = linearize(changed, stated.values, [test.nuisance for test in stated.tests], stated)
         else:

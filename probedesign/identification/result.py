@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
-from scipy.stats import norm, t
+from scipy.stats import t
 
 from probedesign.core import csv_tables
 from probedesign.core.frames import Array
@@ -228,9 +228,8 @@ class Identification(Tabular):
 def student_quantile(fit: Fit) -> float:
     """Return the quantile of 95 % intervals, in standard deviations: Student's with the fewest degrees of freedom that
     a noise scale was estimated with, else normal."""
-    freedom = [noise.freedom for noise in fit.noise if noise.measured]
-    share = 0.5 * (1.0 + CONFIDENCE)
-    return float(t.ppf(share, min(freedom)) if freedom else norm.ppf(share))
+    freedom = min((noise.freedom for noise in fit.noise if noise.measured), default=np.inf)
+    return float(t.ppf(0.5 * (1.0 + CONFIDENCE), freedom))
 
 
 def identified_numbers(

@@ -164,7 +164,7 @@ def calibrate(
         labels: names of the points (n,); 1 ... n if None.
 
     Returns:
-        The camera, with covariance, residuals and outliers.
+        The camera, with covariance and outliers.
 
     Raises:
         InputError: too few points, coplanar or mirrored ones, too many outliers, or points that do not determine the
@@ -191,9 +191,7 @@ def calibrate(
         control.fail("control points lie on both sides of it; check their order and their pixels")
     if camera.folds(control.points_world):
         control.fail(f"{len(camera.distortion)} distortion coefficients fit no lens; fit fewer")
-    residuals = control.pixels - camera.project(control.points_world)
-    outliers = tuple(label for label, out in zip(control.labels, left_out, strict=True) if out)
-    return replace(camera, residuals_px=residuals, outliers=outliers)
+    return replace(camera, outliers=tuple(control.subset(left_out).labels))
 
 
 def _start(control: ControlPoints) -> NDArray[np.bool_]:
@@ -355,8 +353,7 @@ def locate(camera: Camera, points_world: ArrayLike, pixels: ArrayLike, labels: S
     cov = np.zeros((len(scale), len(scale)))
     J = rows(step)
     cov[np.ix_(free, free)] = np.linalg.inv(J.T @ J) * np.outer(scale[free], scale[free])
-    placed = replace(moved(step), cov=cov, std_px=std_px, residuals_px=miss,
-                     outliers=tuple(label for label, fit in zip(labels, inside, strict=True) if not fit))  # fmt: skip
+    placed = replace(moved(step), cov=cov, std_px=std_px, outliers=control.subset(~inside).labels)
     if (placed.depth(points) <= 0).any():
         control.fail("control points lie behind it; check their order and their pixels")
     return placed

@@ -44,8 +44,6 @@ class Camera:
     cov: Array = field(default_factory=lambda: np.zeros((LINEAR, LINEAR)))
     size_px: tuple[int, int] | None = None  #: width and height of its pictures [px]; None if not known.
     std_px: float = 0.0  #: standard deviation of a control point's coordinate in the picture, from the residuals [px].
-    #: pixels of the control points minus their projections [px], outliers included, (n, 2).
-    residuals_px: Array = field(default_factory=lambda: np.zeros((0, 2)))
     outliers: tuple[str, ...] = ()  #: names of the control points that do not fit with the others and were left out.
 
     @classmethod
