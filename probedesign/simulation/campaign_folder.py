@@ -199,18 +199,13 @@ def _truth(truth: GroundTruth, tests: list[SimulatedTest]) -> str:
 
 
 def _true_test(test: SimulatedTest) -> dict[str, object]:
-    eq, truth = test.equilibrium, test.bench
-    R = truth.T_world_true[:3, :3]
-    force = R @ eq.load[0:3]
-    touched = bool(force.any())
-    surface = test.p_surface_base
+    eq, bench, surface = test.equilibrium, test.bench, test.p_surface_base
+    force = bench.T_world_true[:3, :3] @ eq.load[0:3]
     return {
-        "T_world_base": truth.T_world_true.tolist(),
         "force_world_N": force.tolist(),
-        "s_contact_mm": test.s_contact / MM if touched else None,
-        "friction": test.friction if surface is not None else None,
-        "contact_world_mm": None if surface is None else (truth.to_world(surface) / MM).tolist(),
-        "axis_world_mm": (truth.to_world(eq.p_at(test.s_contact)) / MM).tolist() if touched else None,
+        "s_contact_mm": test.s_contact / MM if force.any() else None,
+        "friction": None if surface is None else test.friction,
+        "contact_world_mm": None if surface is None else (bench.to_world(surface) / MM).tolist(),
         "wrench_sensor": test.wrench_sensor.tolist(),
     }
 

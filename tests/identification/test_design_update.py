@@ -1,4 +1,4 @@
-"""A design file keeps its comments and layout; replaced values stay as comments."""
+"""Values that a design may not have, or that someone set, are refused; what is kept is in tests/design/test_edit.py."""
 
 from pathlib import Path
 
@@ -8,59 +8,9 @@ from probedesign.core.errors import InputError
 from probedesign.design import load_design, parse_design
 from probedesign.design.edit import Change, edit_text
 from probedesign.identification.design_update import check_overwritable, write_changes
-from tests.identification.conftest import LARGE
 
 DAY = "2026-01-02"
 SMALL = 'schema = 1\nname = "x"\n[probe]\nlength_mm = 100.0\nbase_d_mm = 8.0\ntip_d_mm = 2.0\n'
-
-
-def test_old_value_and_its_comment_stay_above_the_new() -> None:
-    text = LARGE.read_text()
-    change = Change("material", "youngs_modulus_mpa", "2.41", "identified")
-    lines = edit_text(text, [change], DAY, "large.toml").splitlines()
-    at = next(i for i, line in enumerate(lines) if line.startswith("youngs_modulus_mpa = 2.41 "))
-    before = next(line for line in text.splitlines() if line.startswith("youngs_modulus_mpa"))
-    assert lines[at].endswith("# identified")
-    assert lines[at - 1] == f"# until {DAY}: {before}"
-    assert [line for line in lines if line not in (lines[at], lines[at - 1])] == [
-        line for line in text.splitlines() if line != before
-    ]
-
-
-def test_tables_that_are_missing_are_added() -> None:
-    changes = [
-        Change("material", "youngs_modulus_mpa", "2.41"),
-        Change("material.provenance", "youngs_modulus_mpa", '"identified"'),
-        Change("tolerances", "youngs_modulus", "0.004"),
-        Change("tolerances", "shear_modulus", "0.03"),
-    ]
-    design = parse_design(edit_text(SMALL, changes, DAY, "x.toml"))
-    assert design.youngs_modulus.value == pytest.approx(2.41e6)
-    assert design.material.provenance.youngs_modulus_mpa == "identified"
-    assert (design.tolerances.youngs_modulus, design.tolerances.shear_modulus) == (0.004, 0.03)
-
-
-def test_an_unchanged_value_is_left_alone() -> None:
-    text = LARGE.read_text()
-    change = Change("material.provenance", "youngs_modulus_mpa", '"identified"')
-    assert edit_text(text, [change], DAY, "large.toml") == text
-    once = edit_text(text, [Change("material", "youngs_modulus_mpa", "2.41", "identified")], DAY, "large.toml")
-    again = edit_text(once, [Change("material", "youngs_modulus_mpa", "2.41", "identified")], DAY, "large.toml")
-    assert again == once  # the same line is no old one
-
-
-def test_a_layout_that_cannot_be_kept_is_refused() -> None:
-    text = SMALL.replace("[probe]", 'material = { resin = "elastic-50a" }\n[probe]')
-    with pytest.raises(InputError, match=r"layout cannot be kept; set by hand: material.provenance.youngs_modulus_mpa"):
-        edit_text(text, [Change("material.provenance", "youngs_modulus_mpa", '"assumed"')], DAY, "x.toml")
-
-
-def test_a_value_of_several_lines_stays_as_a_comment() -> None:
-    profile = "profile_mm = [ # drawn\n  [0.0, 8.0],\n  [100.0, 2.0],\n]"
-    text = SMALL.replace("tip_d_mm = 2.0", f'shape = "profile"\n{profile}')
-    change = Change("probe", "profile_mm", "[[0.0, 8.0], [50.0, 4.0], [100.0, 2.0]]")
-    former = profile.replace("\n", "\n# ")
-    assert f"# until {DAY}: {former}\nprofile_mm = {change.text}\n" in edit_text(text, [change], DAY, "x.toml")
 
 
 def test_a_value_that_no_design_may_have_is_refused(tmp_path: Path) -> None:
