@@ -308,11 +308,6 @@ def _markers(
     return measured, axis + off, off, cov
 
 
-#: Columns of validation.csv; those of the paper's Table I keep their names.
-COLUMNS = ("probe", "length_mm", "test", "kind", "force_N", "contact_fraction", "direction", "method", "result",
-           "shape_rms_mm", "shape_rms_percent", "reference_rms_mm", "contact_error_mm", "stated_error_mm",
-           "predicted_error_mm", "reference_error_mm", "within_95", "nees", "z_x", "z_y", "z_z", "markers", "readings",
-           "tares", "force_normal_N", "force_tangential_N", "friction_ratio", "held_out")  # fmt: skip
 #: Result codes in words.
 WHY: dict[str, str] = {**{str(code): words for code, words in RESULTS.items()}, "no_reading": "the sensor was not read"}
 #: Result codes expected of each kind. For a free probe the drift of the bias may be detected, but not located.
@@ -521,31 +516,33 @@ class ValidationReport:
         return tuple(lines)
 
     def rows(self) -> list[dict[str, Any]]:
-        """Return one row per test, with `COLUMNS`; None where there is no number."""
+        """Return one row per test; None where there is no number. Columns of the paper's Table I keep their names."""
         return [self._row(test) for test in self.tests]
 
     def _row(self, test: ValidatedTest) -> dict[str, Any]:
-        error, length = test.contact_error, self.estimator.model.rod.length
-        z = list(error.z) if error is not None and error.dof == 3 else [math.nan] * 3
+        model, length, error = self.estimator.model, self.estimator.model.rod.length, test.contact_error
         estimate = test.estimate or Estimate("out_of_range")
-        friction = (estimate.force_normal, estimate.force_tangential, estimate.friction_ratio)
-        stated = (
-            (error.size, error.expected, test.predicted, rms(error.cov_reference))
-            if error
-            else (math.nan, math.nan, test.predicted, math.nan)
-        )
-        values = (
-            self.estimator.model.name, length / MM, test.test.name, test.kind, test.force, test.fraction,
-            test.push_direction, test.method, test.result, test.shape_rms / MM,
-            100.0 * test.shape_rms / length, test.reference_rms / MM, *(value / MM for value in stated),
-            error.within_95 if error else None, error.nees if error else None, *z, len(test.markers_base),
-            test.readings, test.tares, *friction, not test.served,
-        )  # fmt: skip
-        return {name: _plain(value) for name, value in zip(COLUMNS, values, strict=True)}
+        z = error.z if error is not None and error.dof == 3 else [None] * 3
+        row = {
+            "probe": model.name, "length_mm": length / MM, "test": test.test.name, "kind": test.kind,
+            "force_N": test.force, "contact_fraction": test.fraction, "direction": test.push_direction,
+            "method": test.method, "result": test.result, "shape_rms_mm": test.shape_rms / MM,
+            "shape_rms_percent": 100.0 * test.shape_rms / length, "reference_rms_mm": test.reference_rms / MM,
+            "contact_error_mm": error.size / MM if error else None,
+            "stated_error_mm": error.expected / MM if error else None, "predicted_error_mm": test.predicted / MM,
+            "reference_error_mm": rms(error.cov_reference) / MM if error else None,
+            "within_95": error.within_95 if error else None, "nees": error.nees if error else None,
+            **{f"z_{axis}": value for axis, value in zip("xyz", z, strict=True)},
+            "markers": len(test.markers_base), "readings": test.readings, "tares": test.tares,
+            "force_normal_N": estimate.force_normal, "force_tangential_N": estimate.force_tangential,
+            "friction_ratio": estimate.friction_ratio, "held_out": not test.served,
+        }  # fmt: skip
+        return {name: _plain(value) for name, value in row.items()}
 
     def csv(self) -> bytes:
         """Return the rows as CSV with a header."""
-        return csv_tables.write(COLUMNS, self.rows(), ".6g")
+        rows = self.rows()
+        return csv_tables.write(list(rows[0]), rows, ".6g")
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain data for JSON."""
