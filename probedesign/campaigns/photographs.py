@@ -11,7 +11,7 @@ import numpy as np
 from probedesign.campaigns.campaign import Test
 from probedesign.campaigns.manifest import FILE as MANIFEST
 from probedesign.campaigns.manifest import Manifest, read_manifest
-from probedesign.campaigns.reading import CONTROL_POINTS, IMAGES, PIXELS, read_cameras, read_tests
+from probedesign.campaigns.reading import CONTROL_POINTS, IMAGES, PIXELS, PIXELS_SCHEMA, read_cameras, read_tests
 from probedesign.core.errors import InputError
 from probedesign.core.files import check_overwrite, write_atomically
 from probedesign.core.units import MM
@@ -19,7 +19,6 @@ from probedesign.vision.camera import Camera
 from probedesign.vision.markers import SUFFIXES, DetectedMarkers, ImageSide, find_markers, read_grey
 from probedesign.vision.triangulate import triangulate
 
-HEADER = "test,camera,marker,u_px,v_px,std_px"
 Progress = Callable[[str, float | None], None]
 
 
@@ -134,7 +133,7 @@ def write_pixels(folder: Path, tests: list[PhotographedTest], force: bool) -> Pa
         for photograph, markers in zip(test.photographs, test.found, strict=bool(test.found))
         for number, ((u, v), std) in enumerate(zip(markers.pixels, markers.std_px, strict=True), 1)
     ]
-    write_atomically(path, "\n".join([HEADER, *lines, ""]).encode())
+    write_atomically(path, "\n".join([PIXELS_SCHEMA.like, *lines, ""]).encode())
     return path
 
 

@@ -21,7 +21,7 @@ from scipy.stats import norm
 
 from probedesign.campaigns.campaign import MARKERS, TESTS, WRENCHES
 from probedesign.campaigns.manifest import manifest_lines, number_list
-from probedesign.campaigns.reading import IMAGES, PIXELS
+from probedesign.campaigns.reading import IMAGES, MARKERS_SCHEMA, PIXELS, TESTS_SCHEMA, WRENCHES_SCHEMA
 from probedesign.core import csv_tables
 from probedesign.core.errors import InputError
 from probedesign.core.files import check_replaceable, check_writable, replaced_folder
@@ -435,12 +435,7 @@ class _Choice:
 # the data folder: tables with the planned tests, which a laboratory fills, and a checklist for the bench
 
 PLAN, PAGE, CHECKLIST = "plan.json", "plan.html", "README.md"
-COLUMNS = ("test", "force_x_world_N", "force_y_world_N", "force_z_world_N", "s_contact_mm", "std_s_mm",
-           "contact_x_world_mm", "contact_y_world_mm", "contact_z_world_mm", "std_contact_mm", "direction",
-           "base_x_world_mm", "base_y_world_mm", "base_z_world_mm", "base_rx_world_deg", "base_ry_world_deg",
-           "base_rz_world_deg", "use", "note")  # fmt: skip
-WRENCH_HEADER = "# frame: sensor\ntest,time_s,Fx_N,Fy_N,Fz_N,Mx_Nm,My_Nm,Mz_Nm\n"
-MARKER_COLUMNS = "test,marker,x_world_mm,y_world_mm,z_world_mm"
+WRENCH_HEADER = f"# frame: sensor\n{WRENCHES_SCHEMA.like}\n"
 
 
 def tables(plan: Plan) -> dict[str, str]:
@@ -461,7 +456,8 @@ def tables(plan: Plan) -> dict[str, str]:
                   "# mass_g =", f"# std_g = {1e3 * bench.instruments.balance:g}",
                   '# of = "probe"              # with its printed flange; "flexible": the soft part alone']  # fmt: skip
     manifest = "\n".join([*lines, "", "[source]", 'by = ""', ""])
-    return {"campaign.toml": manifest, TESTS: csv_tables.write(COLUMNS, rows).decode(), WRENCHES: WRENCH_HEADER}
+    columns = [*TESTS_SCHEMA.like.split(","), "note"]
+    return {"campaign.toml": manifest, TESTS: csv_tables.write(columns, rows).decode(), WRENCHES: WRENCH_HEADER}
 
 
 def _row(candidate: CandidateTest) -> dict[str, str]:
@@ -478,8 +474,10 @@ def _row(candidate: CandidateTest) -> dict[str, str]:
         row["std_contact_mm"] = f"{test.std_contact / MM:g}"
     if candidate.set_up == "turned":
         T = test.T_world_base
-        values = [*T[:3, 3] / MM, *np.degrees(Rotation.from_matrix(T[:3, :3]).as_rotvec())]
-        row |= {name: f"{value + 0.0:.4f}" for name, value in zip(COLUMNS[11:17], values, strict=True)}
+        turn = np.degrees(Rotation.from_matrix(T[:3, :3]).as_rotvec())
+        for i, axis in enumerate("xyz"):
+            row[f"base_{axis}_world_mm"] = f"{T[i, 3] / MM + 0.0:.4f}"
+            row[f"base_r{axis}_world_deg"] = f"{turn[i] + 0.0:.4f}"
     return row
 
 
@@ -528,7 +526,7 @@ def checklist(plan: Plan, folder: str) -> list[tuple[str, list[str]]]:
     if "turned" in kinds:
         each.append("Turned base: write the measured pose into the six base columns of the test.")
     if plan.bench.instruments.cameras is not None:
-        each.append(f"Markers: write their places into {MARKERS} with the columns {MARKER_COLUMNS}; or photograph "
+        each.append(f"Markers: write their places into {MARKERS} with the columns {MARKERS_SCHEMA.like}; or photograph "
                     "them with calibrated cameras (docs/stereo.md).")  # fmt: skip
     held_out = [candidate.name for candidate in plan.candidates if candidate.held_out]
     if held_out:

@@ -8,6 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from probedesign.campaigns.manifest import manifest_lines, number_list
+from probedesign.campaigns.reading import CONTROL_POINTS_SCHEMA, PIXELS_SCHEMA, TESTS_SCHEMA, WRENCHES_SCHEMA
+from probedesign.core import csv_tables
 from probedesign.core.errors import InputError
 from probedesign.core.files import check_replaceable, replaced_folder
 from probedesign.core.frames import Array
@@ -26,11 +28,6 @@ STD_SAG = 0.5 * MM  #: Of the tip's sag in a photograph with a scale [m] (assume
 STD_WEIGHING = 1e-5  #: Of a laboratory balance [kg] (assumed).
 
 TEST_SECONDS = 60.0  #: Time from one test to the next (assumed).
-
-TESTS_HEADER = (
-    "test,force_x_world_N,force_y_world_N,force_z_world_N,s_contact_mm,std_s_mm,contact_x_world_mm,"
-    "contact_y_world_mm,contact_z_world_mm,std_contact_mm,direction,tip_sag_mm,std_sag_mm,use"
-)
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,30 +92,32 @@ def _manifest(truth: GroundTruth, rig: StereoRig) -> str:
 
 
 def _tests(truth: GroundTruth, tests: list[SimulatedTest], rng: np.random.Generator) -> str:
-    rows, touches = [TESTS_HEADER], 0
+    rows, touches, std = [], 0, STD_CONTACT[truth.plan.kind]
     for test in tests:
-        force = ["", "", ""] if test.weight is None else [f"{value + 0.0:.6g}" for value in test.weight]
-        s, contact, spread = ["", ""], ["", "", ""], ""
-        std = STD_CONTACT[truth.plan.kind]
+        row, surface = {"test": test.name, "direction": test.direction}, test.p_surface_base
+        if test.weight is not None:
+            row |= _point("force_{}_world_N", test.weight, ".6g")
         if test.weight is not None and test.weight.any():
-            s = _known(test.s_contact + rng.normal() * STD_WEIGHT_ARCLENGTH, STD_WEIGHT_ARCLENGTH)
-        elif test.p_surface_base is not None:
+            row |= _known("s_contact_mm", "std_s_mm", test.s_contact, STD_WEIGHT_ARCLENGTH, rng)
+        elif surface is not None:
+            touches += 1
             if truth.plan.kind == "stage":
-                s = _known(test.s_contact + rng.normal() * std, std)
-            touched = test.bench.to_world(test.p_surface_base) + rng.normal(size=3) * std
-            contact, spread = [f"{value / MM:.4f}" for value in touched], f"{std / MM:g}"
-        sag = ["", ""]
+                row |= _known("s_contact_mm", "std_s_mm", test.s_contact, std, rng)
+            touched = test.bench.to_world(surface) + rng.normal(size=3) * std
+            row |= _point("contact_{}_world_mm", touched / MM, ".4f") | {"std_contact_mm": f"{std / MM:g}"}
+            row["use"] = "validate" if truth.plan.hold_out and touches % 2 == 0 else ""
         if test.name == "hang-1":
-            sag = _known(_sag(truth, test) + rng.normal() * STD_SAG, STD_SAG)
-        touches += test.p_surface_base is not None
-        held_out = truth.plan.hold_out and test.p_surface_base is not None and touches % 2 == 0
-        use = "validate" if held_out else ""
-        rows.append(",".join([test.name, *force, *s, *contact, spread, test.direction, *sag, use]))
-    return "\n".join(rows) + "\n"
+            row |= _known("tip_sag_mm", "std_sag_mm", _sag(truth, test), STD_SAG, rng)
+        rows.append(row)
+    return csv_tables.write(TESTS_SCHEMA.like.split(","), rows).decode()
 
 
-def _known(value: float, std: float) -> list[str]:
-    return [f"{value / MM:.4f}", f"{std / MM:g}"]
+def _point(column: str, values: Array, spec: str) -> dict[str, str]:
+    return {column.format(axis): f"{value + 0.0:{spec}}" for axis, value in zip("xyz", values, strict=True)}
+
+
+def _known(column: str, std_column: str, value: float, std: float, rng: np.random.Generator) -> dict[str, str]:
+    return {column: f"{(value + rng.normal() * std) / MM:.4f}", std_column: f"{std / MM:g}"}
 
 
 def _sag(truth: GroundTruth, test: SimulatedTest) -> float:
@@ -135,7 +134,7 @@ def _wrenches(truth: GroundTruth, tests: list[SimulatedTest], rng: np.random.Gen
     step = math.sqrt(model.averaging_samples) * std
     bias = flaws.drift_steps * step * rng.normal(size=6)
     walk = flaws.walk_steps * math.sqrt(TEST_SECONDS / WALK_SECONDS) * step
-    rows = ["# frame: sensor", "test,time_s,Fx_N,Fy_N,Fz_N,Mx_Nm,My_Nm,Mz_Nm"]
+    rows = ["# frame: sensor", WRENCHES_SCHEMA.like]
     for k, test in enumerate(tests):
         for i in range(truth.plan.readings):
             reading = (1.0 + flaws.gain) * test.wrench_sensor + bias + std * rng.normal(size=6)
@@ -157,8 +156,7 @@ def _markers(rig: StereoRig, tests: list[SimulatedTest], rng: np.random.Generato
             seen = on_axis + rng.normal(size=on_axis.shape) * plan.marker_noise
             rows += [f"{test.name},{i},{_row(p / MM, 4)}" for i, p in enumerate(seen, 1)]
         return {"markers.csv": "\n".join(rows) + "\n"}
-    pixels = ["test,camera,marker,u_px,v_px,std_px"]
-    control = ["point,x_world_mm,y_world_mm,z_world_mm,camera,u_px,v_px"]
+    pixels, control = [PIXELS_SCHEMA.like], [CONTROL_POINTS_SCHEMA.like]
     for camera in rig.cameras:
         seen = camera.project(rig.control_points) + rng.normal(size=(20, 2)) * CONTROL_PX
         control += [f"{i},{_row(p / MM, 2)},{camera.name},{_row(uv, 2)}"
