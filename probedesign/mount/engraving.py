@@ -64,32 +64,24 @@ d ..# ..# ### #.# ###
 _ ... ... ... ... ###
 . . . . . #
 """
-#: Rows of each character from top to bottom; # is cut.
-GLYPHS = {line[0]: tuple(line[2:].split()) for line in _GLYPHS.strip().splitlines()} | {" ": ("..",) * ROWS}
+_DRAWN = {line[0]: tuple(line[2:].split()) for line in _GLYPHS.strip().splitlines()} | {" ": ("..",) * ROWS}
+#: Rows of each character from top to bottom; # is cut. Lower-case letters without a glyph take that of their capital.
+GLYPHS = {character.lower(): rows for character, rows in _DRAWN.items()} | _DRAWN
 
 Run = tuple[int, int, int]
 Loop = tuple[tuple[int, int], ...]
 Arc = tuple[float, float]
 
 
-def glyph_of(character: str) -> tuple[str, ...]:
-    """Return the rows of a character; a lower-case letter without a glyph takes that of its capital.
-
-    Raises:
-        KeyError: the alphabet has neither.
-    """
-    return GLYPHS[character] if character in GLYPHS else GLYPHS[character.upper()]
-
-
 def glyph_width(character: str) -> int:
     """Return the width of a character in cells."""
-    return len(glyph_of(character)[0])
+    return len(GLYPHS[character][0])
 
 
 def cut_runs(character: str) -> list[Run]:
     """Return the cut cells as horizontal bars: first column, one past the last column, row from the bottom."""
     runs = []
-    for row, cells in zip(reversed(range(ROWS)), glyph_of(character), strict=True):
+    for row, cells in zip(reversed(range(ROWS)), GLYPHS[character], strict=True):
         edges = [i for i in range(len(cells) + 1) if (cells[i : i + 1] == "#") != (i > 0 and cells[i - 1] == "#")]
         runs += [(start, end, row) for start, end in zip(edges[::2], edges[1::2], strict=True)]
     return runs
@@ -151,7 +143,7 @@ def engrave(fingerprint: str, name: str, radius: float, top: float, arcs: Sequen
         arcs: free stretches of the circle, each from a higher to a lower azimuth [rad], in order.
     """
     text = fingerprint + (f" {name}" if name else "")
-    text = "".join(c for c in text if c in GLYPHS or c.upper() in GLYPHS)
+    text = "".join(c for c in text if c in GLYPHS)
     azimuths: list[float] = []
     inner = radius - HEIGHT / 2
     for start, end in arcs:
