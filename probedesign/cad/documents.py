@@ -96,7 +96,6 @@ def assembly_steps(model: CadModel) -> list[AssemblyStep]:
     if a.tool_play_deg == 90.0:
         by_eye = "(one screw on the axis holds no turn: hold the adapter while you tighten, then measure the angle), "
     turned = "" if len(a.p_dowels) > 1 else f"turn the flat on its rim to the sensor's +X {by_eye}{centred_by_eye}"
-    holes, pins_in = ("holes", "pins") if len(a.p_dowels) > 1 else ("hole", "pin")
     covered = a.body_d > robot.bolt_circle_d - robot.screw.head_d
     return [
         AssemblyStep(f"{centred if pins else 'set the sensor on the flange adapter '}with its cable over the pocket, "
@@ -104,15 +103,15 @@ def assembly_steps(model: CadModel) -> list[AssemblyStep]:
              f"{of['mounting_screws']}, never longer",
              (*base, Move(("mounting_screws",), "flange_adapter", DOWN)), measure=("flange adapter:",)),
         *([bolted] if covered else []),
-        *([AssemblyStep(f"stand the sensor upright{'' if covered else ' on the bench'}, and push the "
-             f"{a.dowels.diameter / MM:g} mm dowel {pins_in} into the {holes} of its tool face to the bottom",
+        *([AssemblyStep(f"stand the sensor upright{'' if covered else ' on the bench'}, and push "
+             f"the dowels, {len(a.p_dowels)} × {a.dowels.diameter / MM:g} mm, into its tool face to the bottom",
              (Move(("dowel_pins",), "sensor", UP),))] if a.p_dowels else []),
         AssemblyStep(f"stand the sensor adapter upright and slide {a.ring_screw.thread} nuts into its four slots from "
              "the side; they lie on the slots' floors, and fall out where the adapter is turned over",
              (Move(("ring_nuts",), "sensor_adapter", DOWN),), on_bench=True,
              measure=("sensor adapter: depth",)),
         AssemblyStep("lower the sensor adapter with its nuts "
-             f"{f'over the {pins_in} ' if a.p_dowels else ''}onto the tool face, {turned}and "
+             f"{'over the dowels ' if a.p_dowels else ''}onto the tool face, {turned}and "
              f"screw it down from above through its recess: {of['sensor_adapter_screws']}, never longer",
              (Move(("sensor_adapter", "ring_nuts"), "dowel_pins" if a.p_dowels else "sensor", UP),
               Move(("sensor_adapter_screws",), "sensor_adapter", UP)),

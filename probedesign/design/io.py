@@ -150,16 +150,14 @@ def new(
     """Return a new design from a few dimensions, as `probedesign new` writes it, with defaults for everything else.
 
     Args:
-        name: of the design; None for one that contains the parameters [mm], such as `cone-150x12x2` or
-            `cylinder-80x6-hollow-0.5`.
+        name: of the design; None for one that contains the parameters, such as `cylinder-80x6-hollow-0.5`.
         length_mm, base_d_mm, tip, shape, section, bore_ratio, flatness: as in `[probe]`.
         tip_d_mm: None for `default_tip_d_mm`, unless it is a cylinder.
         resin, robot_flange: names of the catalog.
         sensor: a known sensor or calibration.
         friction: tangential over normal force of a touch, standard deviation of the prior; None for the resin's.
-        hold: as in `[mount]`.
         points: where the mounted probe points, a key of `POINTS`.
-        printer: as in `[print]`.
+        hold, printer: as in `[mount]` and `[print]`.
         axis, axis_bend_deg, axis_turns, axis_azimuth_deg: as in `[probe]`.
 
     Raises:

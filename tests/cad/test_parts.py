@@ -161,7 +161,7 @@ def test_parts_on_a_sensor_with_fewer_than_two_dowels_agree_with_their_closed_fo
     assert a.pressed_share < (outer**2 - head**2) / (outer**2 - inner**2) + 0.01
     model = replace(large, geometry=geometry, adapter=a, plate=plate, screws=screw_groups(a, plate), parts=parts)
     steps = " ".join(step.text for step in assembly_steps(model))
-    assert ("over the pin onto" in steps and "pin into the hole of" in steps) == bool(azimuths_deg)
+    assert ("over the dowels onto" in steps and "dowels, 1 × 2 mm, into" in steps) == bool(azimuths_deg)
     assert ("holds no turn" in steps) == (not azimuths_deg) and f"1 {thread}x" in steps
 
 
