@@ -14,6 +14,7 @@ import pytest
 from probedesign.core.files import write_atomically
 from probedesign.design import Design, parse_design
 from probedesign.mount import Mount
+from probedesign.mount.engraving import NOTHING_CUT
 
 LARGE = "length_mm = 150.0\nbase_d_mm = 12.0\ntip_d_mm = 2.0"
 
@@ -39,6 +40,17 @@ def with_probe(large: Any, design: Design) -> Any:
     probe = replace(large.parts["probe"], shape=probe_solid(mount.geometry, mount.sensor_adapter))
     return replace(large, design=design, geometry=mount.geometry, adapter=mount.sensor_adapter,
                    parts={**large.parts, "probe": probe}, fingerprints=mount.fingerprints)  # fmt: skip
+
+
+def without_engraving(model: Any) -> Any:
+    """The same model, with rigid parts that the kernel cuts, measures and projects in a fraction of the time."""
+    from probedesign.cad.solids import clamp_ring_solid, flange_adapter_solid, sensor_adapter_solid
+
+    a = replace(model.adapter, on_wall=NOTHING_CUT, on_ring=NOTHING_CUT)
+    plate = flange_adapter_solid(replace(model.plate, on_plate=NOTHING_CUT))
+    shapes = {"sensor_adapter": sensor_adapter_solid(a), "clamp_ring": clamp_ring_solid(a), "flange_adapter": plate}
+    plain = {name: replace(model.parts[name], shape=shape) for name, shape in shapes.items()}
+    return replace(model, parts={**model.parts, **plain})
 
 
 OTHERS = {

@@ -99,7 +99,7 @@ def test_the_mesh_is_closed_and_close_to_the_solid(drawn: tuple[Mount, cq.Solid,
     mesh, g = tessellate(ruled), mount.geometry
     assert mesh.is_volume
     assert mesh.volume == pytest.approx(solid.Volume(), rel=5e-4)  # as for straight probes
-    s = np.linspace(0.0, g.length, 20001)
+    s = np.linspace(0.0, g.length, 4001)
     T = g.axis.frames(s)
     p = mesh.vertices[mesh.edges_unique].mean(axis=1)  # the middles of edges are deepest
     away, i = cKDTree(T[:, :3, 3]).query(p / 1e3)

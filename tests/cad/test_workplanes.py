@@ -24,7 +24,7 @@ from probedesign.core.errors import CheckFailedError, InputError
 from probedesign.design import check_design
 from probedesign.design.io import render_design, write_design
 from probedesign.mount.engraving import XY
-from tests.cad.conftest import design_of
+from tests.cad.conftest import design_of, without_engraving
 
 EXAMPLE = Path(__file__).parents[2] / "examples/changed_adapter.py"
 LARGE = design_of()
@@ -148,6 +148,11 @@ def test_changed_part_is_exported_with_its_manifest(tmp_path: Path, monkeypatch:
     assert read.val().Volume() * 1e-9 == pytest.approx(manifest["parts"]["flange_adapter"]["volume_m3"], rel=1e-6)
 
 
+@pytest.fixture(scope="module")
+def plain(large: CadModel) -> CadModel:
+    return without_engraving(large)
+
+
 def with_part(large: CadModel, name: str, change: Callable[[cq.Workplane], cq.Workplane]) -> CadModel:
     part = large.parts[name]
     changed = replace(part, shape=change(cq.Workplane(obj=part.shape)).findSolid().Solids()[0])
@@ -165,23 +170,23 @@ def cut(points: Iterable[XY], d: float, z0: float, z1: float) -> Callable[[cq.Wo
     return change
 
 
-def test_screws_are_measured_in_changed_parts(large: CadModel) -> None:
+def test_screws_are_measured_in_changed_parts(plain: CadModel) -> None:
     """An unchanged part has the screws of the design; deeper counterbores let them enter by as much more."""
-    for group, wanted in zip(with_part(large, "sensor_adapter", lambda work: work).screws, large.screws, strict=True):
+    for group, wanted in zip(with_part(plain, "sensor_adapter", lambda work: work).screws, plain.screws, strict=True):
         assert group.grip == pytest.approx(wanted.grip, abs=1e-9) and group.seat == pytest.approx(wanted.seat, abs=1e-9)
-    a, plate = large.adapter, large.plate
+    a, plate = plain.adapter, plain.plate
     grip, top = 1e3 * a.tool.grip, 1e3 * plate.counterbore_top
-    deeper = with_part(large, "sensor_adapter", cut(a.p_tool_screws[:1], 4.4, grip - 0.3, grip + 1.0))
+    deeper = with_part(plain, "sensor_adapter", cut(a.p_tool_screws[:1], 4.4, grip - 0.3, grip + 1.0))
     group = {group.name: group for group in deeper.screws}["sensor_adapter_screws"]
     assert group.as_record()["entry_mm"] == pytest.approx(3.2)  # of 2.9
     drawn = deeper.parts["sensor_adapter_screws"].places[0][2, 3]
     assert drawn == pytest.approx(a.tool.grip - 3e-4, abs=1e-9)
-    lower = with_part(large, "flange_adapter", cut(plate.p_mounting_screws, 4.4, top - 1.0, top + 0.2))
-    assert lower.screws[2].entry == pytest.approx(large.screws[2].entry + 2e-4)
+    lower = with_part(plain, "flange_adapter", cut(plate.p_mounting_screws, 4.4, top - 1.0, top + 0.2))
+    assert lower.screws[2].entry == pytest.approx(plain.screws[2].entry + 2e-4)
 
 
-def test_screws_that_would_destroy_the_sensor_or_hold_nothing_are_refused(large: CadModel) -> None:
-    a, plate = large.adapter, large.plate
+def test_screws_that_would_destroy_the_sensor_or_hold_nothing_are_refused(plain: CadModel) -> None:
+    a, plate = plain.adapter, plain.plate
     grip, top = 1e3 * a.tool.grip, 1e3 * plate.counterbore_top
     bolts, roof = plate.p_bolts, 1e3 * plate.plate_top
     ring = 1e3 * a.ring_thickness
@@ -196,7 +201,7 @@ def test_screws_that_would_destroy_the_sensor_or_hold_nothing_are_refused(large:
     ]
     for name, change, message in wrong:
         with pytest.raises(CheckFailedError, match=message):
-            with_part(large, name, change)
+            with_part(plain, name, change)
 
 
 def test_part_that_touches_the_sensor_is_refused(tmp_path: Path, parts: dict[str, cq.Workplane]) -> None:
