@@ -125,8 +125,8 @@ def fuse_drawn(
     steps[0] = rng.multivariate_normal(np.zeros(6), priors.drift_steps**2 * step)  # bias at the first touch
     walk = steps.cumsum(axis=0)
     wrenches = with_noise(np.array([one.wrench for one in touches]), model, rng) + walk
-    c = frictionless(model).fuse(wrenches, Ts, pressed.gravity, moments_only=moments_only, moments_about="sensor",
-                                 priors=priors)  # fmt: skip
+    estimator = frictionless(model).with_tolerances(priors)
+    c = estimator.fuse(wrenches, Ts, pressed.gravity, moments_only=moments_only, moments_about="sensor")
     if c.rms < MAX_BOUND or not math.isfinite(c.rms):
         statistics.add(c.result, c.p_surface_world, c.cov_surface_world, c.rms)
     return c

@@ -173,8 +173,8 @@ def _run(arguments: list[str]) -> None:
 
 def _by_fuse(model: ProbeModel, simulated: SimulatedRun, rng: np.random.Generator) -> PointErrors:
     """Locate each touch of a run from its readings and a free reading before and after them."""
-    estimator, rows, truth = Estimator(model), list[Array](), list[Array]()
     priors = replace(Tolerances.of(model), drift_steps=10.0)
+    estimator, rows, truth = Estimator(model, priors), list[Array](), list[Array]()
     step = model.noise_base() * model.averaging_samples
     for touch in simulated.touches:
         wrenches = np.vstack([simulated.wrench_free, touch.wrenches_base, simulated.wrench_free])
@@ -183,7 +183,7 @@ def _by_fuse(model: ProbeModel, simulated: SimulatedRun, rng: np.random.Generato
         read += rng.multivariate_normal(np.zeros(6), priors.walk_steps**2 * step, k).cumsum(axis=0)
         Ts = np.concatenate([touch.Ts_world_base[:1], touch.Ts_world_base, touch.Ts_world_base[-1:]])
         touched = [False, *[True] * len(touch.wrenches_base), False]
-        fused = estimator.fuse(read, Ts, (0.0, 0.0, -9.81), touched=touched, priors=priors)
+        fused = estimator.fuse(read, Ts, (0.0, 0.0, -9.81), touched=touched)
         if fused.ok:
             cov = fused.cov_surface_world[np.triu_indices(3)] / MM**2
             rows.append(np.append(fused.p_surface_world / MM, cov))

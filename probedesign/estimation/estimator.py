@@ -191,7 +191,6 @@ class Estimator:
         moments_about: MomentsAbout = "base",
         touched: ArrayLike | None = None,
         times: ArrayLike | None = None,
-        priors: Tolerances | None = None,
         object_compliance: float | None = None,
         object_walk: float | None = None,
     ) -> FusedEstimate:
@@ -209,11 +208,10 @@ class Estimator:
             touched: where there was contact, (k,), all if None; readings without it tie the bias down.
             times: of the readings [s], (k,), for the walk of the bias; `WALK_SECONDS` apart if None. Consecutive
                 readings from one pose count as a window of one touch.
-            priors: standard deviations of the error sources; those of the estimator if None.
             object_compliance: scale of the half-normal prior of how far the object yields per force [m/N]; 0 is a
-                rigid object; that of the priors if None.
+                rigid object; that of the estimator's priors if None.
             object_walk: standard deviation, on each axis, of a step of a loose object between two touches [m]; that
-                of the priors if None.
+                of the estimator's priors if None.
 
         Returns:
             The estimate with its covariance; anything that goes wrong is its result code, never an exception.
@@ -227,7 +225,7 @@ class Estimator:
         moments = moments_about if moments_only else None
         if moments not in (None, "base", "sensor"):
             raise InputError(f"moments_about = {moments!r} is not known; known: base, sensor")
-        priors = self.priors if priors is None else priors
+        priors = self.priors
         if object_compliance is not None:
             priors = replace(priors, object_compliance=object_compliance)
         if object_walk is not None:

@@ -223,7 +223,7 @@ class Rod:
             couple: in base axes [N·m], (3,), of a force off the centreline.
             tip_moment: in base axes [N·m], (3,); equilibria under one are not tested for stability.
             mode: "fast" or "reference".
-            guess: `tip` of a neighbouring equilibrium, (6,), or its tangent alone, (3,).
+            guess: `tip` of a neighbouring equilibrium, (6,).
             guess_only: return without a solution where the guess fails, instead of starting from no load.
             columns: parameters of the exact sensitivities: "none", "load" (force and s_contact), "contact" (also the
                 couple) or "all" (also gravity, E, G, density, and the diameter of all knots and of each).
@@ -313,28 +313,18 @@ def _beyond(parts: Array) -> Array:
 
 
 def _tip(guess: ArrayLike) -> Array:
-    """Return [t, d] of a guess: a section, or a tangent with the base's section rotated to it the shortest way."""
-    given = np.array(guess, dtype=float)
-    t = given[:3] if given.shape in ((3,), (6,)) else np.zeros(3)
-    norm = math.sqrt(t @ t)
-    if not 0.0 < norm < math.inf or not math.isfinite(given.sum()):
-        raise InputError(f"guess = {guess!r} must be a direction (3,) or a section's [tangent, x axis] (6,)")
-    t = t / norm
-    d = given[3:] if len(given) == 6 else _carried_x(t)
-    d = d - (d @ t) * t
+    """Return [t, d] of a guess, made a unit tangent and a unit normal of it."""
+    tip = np.array(guess, dtype=float)
+    if tip.shape != (6,) or not math.isfinite(tip.sum()):
+        raise InputError(f"guess = {guess!r} must be a section's [tangent, x axis] (6,)")
+    t, d = tip[:3], tip[3:]
+    t /= math.sqrt(t @ t) or math.nan
+    d -= (d @ t) * t
     norm = math.sqrt(d @ d)
-    if norm < 1e-6:
-        raise InputError(f"guess = {guess!r}: the x axis lies along the tangent")
-    tip = np.empty(6)
-    tip[:3], tip[3:] = t, d / norm
+    if not norm > 1e-6:
+        raise InputError(f"guess = {guess!r}: the tangent is zero, or the x axis lies along it")
+    d /= norm
     return tip
-
-
-def _carried_x(t: Array) -> Array:
-    if t[2] < -0.999:
-        return np.array([-1.0, 0.0, 0.0])
-    carried: Array = np.array([1.0, 0.0, 0.0]) - t[0] / (1.0 + t[2]) * (t + np.array([0.0, 0.0, 1.0]))
-    return carried
 
 
 def _require(holds: bool, message: str) -> None:

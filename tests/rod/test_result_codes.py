@@ -153,7 +153,7 @@ def test_a_load_of_the_wrong_shape_is_refused(shape):
 
 
 @pytest.mark.parametrize(
-    "guess", [(0, 0, 0), (np.nan, 0, 1), (0, 1), (np.inf, 0, 0), (0, 0, 1, 0, 0, 1), (0, 0, 1, np.nan, 0, 0)]
+    "guess", [(0, 0, 0, 1, 0, 0), (0, 0, 1), (np.inf, 0, 0, 0, 1, 0), (0, 0, 1, 0, 0, 1), (0, 0, 1, np.nan, 0, 0)]
 )
 def test_a_guess_that_is_no_direction_is_refused(guess):
     with pytest.raises(InputError, match="guess"):
@@ -162,7 +162,7 @@ def test_a_guess_that_is_no_direction_is_refused(guess):
 
 def test_a_bad_guess_costs_only_time():
     wanted = CONE.solve((9.81, 0, 0), (0.01, 0.01, 0), 0.1)
-    for guess in ((0, 0, -1), (-1, 0, 0), (0, 5, 0.1)):
+    for guess in ((0, 0, -1, 1, 0, 0), (-1, 0, 0, 0, 1, 0), (0, 5, 0.1, 1, 0, 0)):
         found = CONE.solve((9.81, 0, 0), (0.01, 0.01, 0), 0.1, guess=guess)
         # Two fast answers, each within a micrometre.
         np.testing.assert_allclose(found.p_base[-1], wanted.p_base[-1], atol=2e-6)
