@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from probedesign.core.errors import InputError
 from probedesign.core.frames import Array, inverse
 from probedesign.core.notebook import Displayed
 from probedesign.core.units import MM
@@ -77,14 +76,11 @@ class Probe(Displayed):
 
     @cached_property
     def rod(self) -> "Rod":
-        """Return the flexible part as a Cosserat rod with the root compliance of the design."""
-        return self._rod(root_radii(self.design, self.geometry))
-
-    def _rod(self, root_rigid_radii: float) -> "Rod":
-        """Return the rod with that root compliance in base radii; 0 is the rod of the paper (decision 0006)."""
+        """Return the flexible part as a Cosserat rod with the root compliance of the design; without one it is the
+        rod of the paper (decision 0006)."""
         from probedesign.rod.rod import Rod
 
-        d, axis, s = self.design, self.axis, self.geometry.s
+        d, axis, s, root = self.design, self.axis, self.geometry.s, root_radii(self.design, self.geometry)
         if not axis.is_straight:
             s = np.unique(np.concatenate([s, axis.s]))
         return Rod(
@@ -94,9 +90,9 @@ class Probe(Displayed):
             shear_modulus=d.shear_modulus.value,
             density=d.density.value,
             shear_coefficient=d.material.shear_coefficient,
-            rigid_length=root_rigid_radii * self.geometry.base_radius,
+            rigid_length=root * self.geometry.base_radius,
             factors=self.geometry.cross_section.factors,
-            finite_strain=root_rigid_radii != 0.0 and self.geometry.cross_section.full_round,
+            finite_strain=root != 0.0 and self.geometry.cross_section.full_round,
             rounded_from=self.geometry.rounded_from,
             rest_curvature=None if axis.is_straight else axis.rest_curvature(s),
         )
@@ -149,8 +145,6 @@ class Probe(Displayed):
         s_contact: float | None = None,
         force_base: ArrayLike = (0.0, 0.0, 0.0),
         *,
-        root_rigid_radii: float | None = None,
-        tip_moment_base: ArrayLike = (0.0, 0.0, 0.0),
         mode: "Mode" = "fast",
         columns: "Columns" = "none",
     ) -> "Equilibrium":
@@ -160,9 +154,6 @@ class Probe(Displayed):
             gravity_base: in base axes [m/s²], (3,); the design's mount if None.
             s_contact: where the force acts [m]; the tip if None.
             force_base: in base axes [N], (3,).
-            root_rigid_radii: bending compliance that the bonded root lacks, in base radii; the design's if
-                None. 0 is the bare rod of the paper and of tables: clamped at s = 0, linear in its strains.
-            tip_moment_base: a dead moment at the tip [N·m], (3,).
             mode: "fast" or "reference", see `Rod.solve`.
             columns: which sensitivities to compute.
 
@@ -173,10 +164,7 @@ class Probe(Displayed):
             InputError: an argument is not finite or s_contact lies off the probe.
         """
         gravity = self.design.mount.gravity_base_m_s2 if gravity_base is None else gravity_base
-        if root_rigid_radii is not None and not -1.0 <= root_rigid_radii <= 2.0:
-            raise InputError(f"root_rigid_radii = {root_rigid_radii} must lie in -1 ... 2")
-        rod = self.rod if root_rigid_radii is None else self._rod(root_rigid_radii)
-        return rod.solve(gravity, force_base, s_contact, tip_moment=tip_moment_base, mode=mode, columns=columns)
+        return self.rod.solve(gravity, force_base, s_contact, mode=mode, columns=columns)
 
     def estimator(self, exact: bool = False) -> "Estimator":
         """Return the estimator for this geometry, as `deploy` freezes it.

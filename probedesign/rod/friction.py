@@ -419,52 +419,35 @@ class CoulombSolver:
             return replace(blank, result="on_end")
         return self._begun(blank, obstacle, part, near)
 
-    def advance(
-        self,
-        last: CoulombContact,
-        point: ArrayLike,
-        direction: ArrayLike | None = None,
-        gravity: ArrayLike | None = None,
-    ) -> CoulombContact:
+    def advance(self, last: CoulombContact, point: ArrayLike) -> CoulombContact:
         """Return the contact after a further straight motion of the object in base axes.
 
         Args:
             last: contact at the start.
             point: of the object at the end [m], (3,).
-            direction: of its edge at the end; unchanged if None.
-            gravity: at the end [m/s²], (3,); unchanged if None.
 
         Returns:
             The contact; the last one itself if that was not "ok".
         """
         if not last.ok:
             return last
-        end = finite_vector("point", point)
-        d0, g0 = last.direction, last.gravity
-        d1 = d0 if direction is None or d0 is None else _unit(direction)
-        g1 = g0 if gravity is None else finite_vector("gravity", gravity)
-        length = self.rod.length
-        way = float(np.linalg.norm(end - last.object_point)) / length
-        if d0 is not None and d1 is not None:
-            way += float(np.linalg.norm(d1 - d0))
-        way += float(np.linalg.norm(g1 - g0)) / (1.0 + float(np.linalg.norm(g0)))
+        end, start = finite_vector("point", point), last.object_point
+        way = float(np.linalg.norm(end - start)) / self.rod.length
         if way == 0.0:
             return last
         whole = 1.0 / math.ceil(way / _STEP)
         at, step, here = 0.0, whole, last
         while at < 1.0:
             goal = 1.0 if at + 1.01 * step >= 1.0 else at + step  # so that no very short step remains
-            d = None if d0 is None or d1 is None else _unit((1.0 - goal) * d0 + goal * d1)
-            target = last.object_point + goal * (end - last.object_point)
-            contact = self._increment(here, target, d, g0 + goal * (g1 - g0))
+            contact = self._increment(here, start + goal * (end - start))
             if isinstance(contact, CoulombContact):
                 at, here, step = goal, contact, min(2.0 * step, whole)
                 continue
             cut = _LOST_STEP if contact == "no_contact" else _MIN_STEP
             if (goal - at) * way <= cut:
-                free = self.rod.solve(g1, mode=self.mode)
+                free = self.rod.solve(last.gravity, mode=self.mode)
                 result = "unstable" if contact == "far" else contact
-                return self._without(result, free, g1, end, d1)
+                return self._without(result, free, last.gravity, end, last.direction)
             step = 0.25 * (goal - at)
         return here
 
@@ -523,12 +506,10 @@ class CoulombSolver:
             normal=surface_at(s, angle)[1], slide=still,
         )  # fmt: skip
 
-    def _increment(
-        self, last: CoulombContact, point: Array, direction: Array | None, gravity: Array
-    ) -> CoulombContact | str:
+    def _increment(self, last: CoulombContact, point: Array) -> CoulombContact | str:
         """Solve one step of Coulomb's law; return the contact or the reason why there is none."""
         x = self._unknowns(last)
-        goal = replace(last, object_point=point, direction=direction, gravity=gravity)
+        goal = replace(last, object_point=point)
         moved = float(np.linalg.norm(point - last.object_point)) / self.rod.length
         stuck = None if self.friction == 0.0 else self._newton(last, goal, x, None)
         if isinstance(stuck, CoulombContact):

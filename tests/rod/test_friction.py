@@ -197,17 +197,6 @@ def test_an_edge_may_roll_without_sliding():
     assert abs(moved.way - begun.way) == pytest.approx(along, rel=0.01)
 
 
-def test_gravity_may_turn_while_it_touches():
-    """A rotation of the base about x in one step or in two has the same result as long as the contact sticks."""
-    point, travel, _ = approach(CONE, GRAVITY)
-    solver = CoulombSolver(CONE, math.inf, "reference")
-    begun = solver.press(GRAVITY, point, travel)
-    whole = solver.advance(begun, point, gravity=0.8 * GRAVITY)
-    parts = solver.advance(solver.advance(begun, point, gravity=0.9 * GRAVITY), point, gravity=0.8 * GRAVITY)
-    assert whole.ok and not np.allclose(whole.force_base, begun.force_base, rtol=1e-3, atol=0.0)
-    assert np.allclose(whole.force_base, parts.force_base, rtol=1e-7, atol=1e-11)
-
-
 def test_results_without_a_contact_are_codes():
     solver = CoulombSolver(CONE, 0.5)
     missed = solver.press(GRAVITY, (0.05, 0.05, 0.1), (0.0, 0.0, -0.02))
