@@ -31,7 +31,7 @@ from probedesign.mount.sensor_adapter import RING_VENT_HEIGHT
 from probedesign.mount.tolerance_stack import RESIN_PRESSURE, hand_torque, measurements
 from probedesign.printing.check import RAFT_MARGIN
 from tests.cad.conftest import LARGE, design_of, with_probe, without_engraving
-from tests.reports.page_checks import browser, check_page, sheets
+from tests.reports.page_checks import browser, check_page
 
 Exported = tuple[Path, dict[str, Any]]
 PRINTED = ("probe", "sensor_adapter", "clamp_ring", "flange_adapter")
@@ -330,8 +330,7 @@ def test_the_page_is_legible_and_prints_on_five_sheets(exported: Exported) -> No
     """Nothing is cut at 360 px or on paper."""
     file = exported[0] / "assembly.html"
     with browser() as running:
-        check_page(running, file)
-        assert sheets(running, file) == (5, [])
+        assert check_page(running, file) == (5, [])
 
 
 def test_names_from_outside_are_escaped(large: CadModel) -> None:

@@ -57,10 +57,13 @@ def opened(running: Any, file: Path, width: int, scheme: str) -> Iterator[Any]:
     context.close()
 
 
-def check_page(running: Any, file: Path) -> None:
+def check_page(running: Any, file: Path) -> tuple[int, list[str]]:
     """Check a page: all rules but colours on a phone, the colours of text and pictures in light and dark on a screen.
 
     Colours do not depend on the width, and their rule takes longer than all others.
+
+    Returns:
+        The number of its sheets in print, and what is cut off at their right edge.
     """
     axe = pytest.importorskip("axe_playwright_python.sync_playwright").Axe()
     contrast = {"runOnly": ["color-contrast"]}
@@ -75,6 +78,16 @@ def check_page(running: Any, file: Path) -> None:
             if width == WIDE:
                 faint = [pair for pair in picture_contrasts(page) if pair[1] < MIN_CONTRAST]
                 assert not faint, (file.name, scheme, faint[:10])
+        page.emulate_media(color_scheme="light")
+        pdf = page.pdf(prefer_css_page_size=True)
+        page.emulate_media(media="print")
+        page.set_viewport_size({"width": round((210 - 28) / 25.4 * 96), "height": 900})  # within the margins of A4
+        cut = page.evaluate(
+            """() => [...document.querySelectorAll('table, svg, img, p, ul')].filter(one =>
+                one.getBoundingClientRect().right > document.documentElement.clientWidth + 1).map(one =>
+                one.tagName + ': ' + one.textContent.slice(0, 60))"""
+        )
+    return len(re.findall(rb"/Type\s*/Page\b(?!s)", pdf)), cut
 
 
 def picture_contrasts(page: Any) -> list[tuple[str, float]]:
@@ -89,12 +102,12 @@ def picture_contrasts(page: Any) -> list[tuple[str, float]]:
             return [text.textContent, box.left + scrollX, box.top + scrollY, box.right + scrollX, box.bottom + scrollY];
         }).filter(([text, a, b, c, d]) => text.trim() && c > a && d > b)"""
     )
-    shot = np.asarray(image.open(io.BytesIO(page.screenshot(full_page=True))).convert("RGB"), dtype=np.int32)
-    shot = shot @ np.array([1 << 16, 1 << 8, 1], dtype=np.int32)  # one number for each colour
+    shot = np.asarray(image.open(io.BytesIO(page.screenshot(full_page=True))).convert("RGB"))
     found = []
     for text, left, top, right, bottom in boxes:
         part = shot[int(SCALE * top) : int(SCALE * bottom) + 1, int(SCALE * left) : int(SCALE * right) + 1]
-        colours, counts = np.unique(part, return_counts=True)
+        numbers = part.astype(np.int32) @ np.array([1 << 16, 1 << 8, 1], dtype=np.int32)  # one for each colour
+        colours, counts = np.unique(numbers, return_counts=True)
         light = luminance(np.stack([colours >> 16, colours >> 8 & 255, colours & 255], axis=1))
         paper = light[np.argmax(counts)]
         ratios = (np.maximum(light, paper) + 0.05) / (np.minimum(light, paper) + 0.05)
@@ -107,19 +120,3 @@ def luminance(colours: Any) -> Any:
     share = np.asarray(colours) / 255.0
     linear = np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4)
     return linear @ np.array([0.2126, 0.7152, 0.0722])
-
-
-def sheets(running: Any, file: Path) -> tuple[int, list[str]]:
-    """Print a page, and return the number of its sheets and what is cut off at their right edge."""
-    page = running.new_page()
-    page.goto(file.as_uri())
-    pdf = page.pdf(prefer_css_page_size=True)
-    page.emulate_media(media="print")
-    page.set_viewport_size({"width": round((210 - 28) / 25.4 * 96), "height": 900})  # within the margins of A4
-    cut = page.evaluate(
-        """() => [...document.querySelectorAll('table, svg, img, p, ul')].filter(one =>
-            one.getBoundingClientRect().right > document.documentElement.clientWidth + 1).map(one =>
-            one.tagName + ': ' + one.textContent.slice(0, 60))"""
-    )
-    page.close()
-    return len(re.findall(rb"/Type\s*/Page\b(?!s)", pdf)), cut

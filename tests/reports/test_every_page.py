@@ -36,7 +36,7 @@ from probedesign.simulation.campaign_folder import make_campaign
 from probedesign.simulation.ground_truth import CampaignPlan
 from probedesign.web.home import write_home
 from tests.mapping.synthetic_touches import STD_E, touch
-from tests.reports.page_checks import browser, check_page, opened, sheets
+from tests.reports.page_checks import browser, check_page, opened
 from tests.reports.test_sweep_page import grid
 
 DESIGNS = Path(__file__).parents[2] / "designs"
@@ -143,8 +143,7 @@ def test_a_page_is_legible_fits_and_prints(make, running, folder, request):
     """Contrast of 4.5 in light and dark, nothing cut at 360 px and on A4, no request, no console message."""
     file = folder / f"{make.__name__}.html"
     file.write_bytes(make(request))
-    check_page(running, file)
-    number, cut = sheets(running, file)
+    number, cut = check_page(running, file)
     assert not cut and 1 <= number <= 6
 
 
