@@ -62,7 +62,7 @@ def assert_scene_is_wide(tab, width):
     )
 
 
-def test_tabs_show_one_state_and_the_scene_what_the_panels_leave(page, running):
+def test_tabs_show_one_state_the_scene_what_the_panels_leave_and_buttons_write_files(page, running):
     """A screen and a tablet, whose charts are below the controls, where they would leave the scene too little."""
     beside_both = 1280 - CONTROLS_WIDTH - CHARTS_WIDTH
     with opened(running, page) as (wide, wide_faults):
@@ -86,6 +86,15 @@ def test_tabs_show_one_state_and_the_scene_what_the_panels_leave(page, running):
             assert not [fault for fault in wide_faults + faults if "favicon" not in fault]
     with opened(running, page) as (tab, _):  # however the tab before was arranged
         assert_scene_is_wide(tab, beside_both)
+        tab.get_by_role("tab", name="Save").click()
+        tab.get_by_role("button", name="Save the design").click()
+        tab.wait_for_selector("text=/wrote designs.small.toml/")
+        tab.get_by_role("button", name="Save the design").click()
+        tab.wait_for_selector("text=/exists already/")
+        tab.get_by_role("button", name="Deploy the estimator").click()
+        tab.wait_for_selector("text=/wrote exports.small.small.probe.json/")
+    assert run(["check", "designs/small.toml"]) == 0  # as a command would have written it
+    assert Path("exports/small/small.probe.json").exists()
 
 
 def test_a_knot_of_a_profile_is_dragged_with_the_pointer(page, running):
@@ -171,19 +180,6 @@ def test_the_former_shape_stays_while_a_slider_moves(page):
         assert page._scene._shown[0].length == length / 1e3
     wait_until(lambda: page.figures.complete and "former" not in page._scene._ghosts)
     assert np.array_equal(camera, page._server.initial_camera.position)
-
-
-def test_the_buttons_write_what_the_commands_write(page, running, tmp_path):
-    with opened(running, page) as (tab, _):
-        tab.get_by_role("tab", name="Save").click()
-        tab.get_by_role("button", name="Save the design").click()
-        tab.wait_for_selector("text=/wrote designs.small.toml/")
-        tab.get_by_role("button", name="Save the design").click()
-        tab.wait_for_selector("text=/exists already/")
-        tab.get_by_role("button", name="Deploy the estimator").click()
-        tab.wait_for_selector("text=/wrote exports.small.small.probe.json/")
-    assert run(["check", "designs/small.toml"]) == 0
-    assert (tmp_path / "exports/small/small.probe.json").exists()
 
 
 def fail(*_):
