@@ -89,7 +89,7 @@ def _is_local(url: str) -> bool:
 
 @contextmanager
 def _studio() -> Iterator[str]:
-    page = StudioPage(Session(load_design("large")), "127.0.0.1", 8095)
+    page = StudioPage(Session(load_design("large")), 8095)
     try:
         yield page.url
     finally:

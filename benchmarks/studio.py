@@ -39,7 +39,7 @@ def report() -> None:
     rows = []
     chromium = shutil.which("chromium") or shutil.which("google-chrome")
     for name in PROBES:
-        page = StudioPage(Session(load_design(name)), "127.0.0.1", 8095)
+        page = StudioPage(Session(load_design(name)), 8095)
         try:
             alone = [_computed(page, factor) for factor in _factors()]
             row = [name, *_quantiles(alone)]
@@ -69,7 +69,7 @@ def draw_page(chromium: str, picture: Path = PICTURE) -> None:
     with tempfile.TemporaryDirectory() as folder, chdir(folder):
         assert run(["new", "--length", "150", "--base-d", "12"]) == 0
         design = load_design(Path("designs/cone-150x12x2.toml"))
-    page = StudioPage(Session(design), "127.0.0.1", 8095)
+    page = StudioPage(Session(design), 8095)
     try:
         with sync_playwright() as driver:
             browser = driver.chromium.launch(executable_path=chromium, args=ARGUMENTS)

@@ -108,7 +108,7 @@ def sweep(
     from probedesign.reports.sweep_page import sweep_page
 
     axes = [parse_axis(text) for text in vary]
-    keys, start = [axis.key for axis in axes], load_design(design)
+    keys, start = [key for key, _ in axes], load_design(design)
     task = (options or TaskOptions()).task(start.probe.axis != "straight" or any("axis" in key for key in keys))
     try:
         with show_progress() as on_progress:

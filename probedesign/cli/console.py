@@ -39,9 +39,9 @@ def _to_json(value: Any) -> Any:
     return str(value) if isinstance(value, Path) else value
 
 
-def json_bytes(document: dict[str, Any], indent: int = 1, ascii_only: bool = True) -> bytes:
+def json_bytes(document: dict[str, Any], ascii_only: bool = True) -> bytes:
     """Return a document as the content of a JSON file, with the types of `print_json`."""
-    return (json.dumps(_to_json(document), indent=indent, ensure_ascii=ascii_only) + "\n").encode()
+    return (json.dumps(_to_json(document), indent=1, ensure_ascii=ascii_only) + "\n").encode()
 
 
 def write_files(folder: Path, contents: Iterable[tuple[str, bytes]]) -> list[Path]:

@@ -1,6 +1,7 @@
 """`probedesign optimize`: optimize the shape of a probe for a task."""
 
 import math
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -14,9 +15,8 @@ from probedesign.core.files import check_overwrite, check_writable
 from probedesign.core.units import format_value
 
 if TYPE_CHECKING:
-    from probedesign.core.parallel import OnProgress
     from probedesign.optimization.constraints import OptimizationProblem
-    from probedesign.optimization.optimum import MonteCarloCheck, OptimizeResult, Optimum
+    from probedesign.optimization.optimum import MonteCarloCheck, Optimum
 
 DISTINCT = 3.0  #: Standard deviations between places, as in `distinction`, below which a search is warned about.
 MAX_SAG = 0.2  #: Largest sag of an advised design over its reach (assumed).
@@ -69,13 +69,7 @@ def optimize(
     task = (options or TaskOptions()).task("axis" in free or start.probe.axis != "straight")
     search = OptimizationProblem(start, free, task, goal, error_mm, tuple(limits))
     out = out or Path("designs") / f"{start.name}-best.toml"
-    with show_progress() as on_progress:
-        result = _run(search, out, force, confirm, seed, on_progress)
-    if as_json:
-        print_json(result.as_dict())
-    else:
-        _print(result.optimum, result.confirmed)
-        print("wrote", ", ".join(map(str, result.files)))
+    _run(search, out, force, as_json, draws=confirm, seed=seed)
 
 
 def advise(
@@ -144,49 +138,63 @@ def advise(
     task = TaskOptions(force_N=[force_mN / 1e3], combine="worst").task()
     limited = tuple(map(parse_limit, limits))
     search = OptimizationProblem(start, ("cone", "length"), task, "error-at-force", None, limited)
-    with show_progress() as on_progress:
-        result = _run(search, Path("designs") / f"{start.name}.toml", force, 0, 1, on_progress)
-    if as_json:
-        print_json(result.as_dict())
-        return
-    after = result.optimum.after
-    print(
-        f"Five touches of up to {force_mN:g} mN locate a point within {after.error_mm:.2g} mm RMS or better; at 0.8 of "
-        f"the length one reading of {after.detectable_mN:.2g} mN is felt. Its stiffness is not measured yet."
-    )
-    _print(result.optimum, None)
-    print("wrote", ", ".join(map(str, result.files)))
+    _run(search, Path("designs") / f"{start.name}.toml", force, as_json, advised=force_mN)
 
 
 def _run(
-    search: "OptimizationProblem", path: Path, force: bool, draws: int, seed: int, on_progress: "OnProgress"
-) -> "OptimizeResult":
+    search: "OptimizationProblem", path: Path, force: bool, as_json: bool, *, draws: int = 0, seed: int = 1,
+    advised: float | None = None,
+) -> None:  # fmt: skip
     """Write the optimum to `path` with a comparison, checked by a Monte Carlo simulation of some draws per case."""
+    from probedesign.design.edit import tables_of
     from probedesign.design.io import write_design
-    from probedesign.optimization.optimum import OptimizeResult, confirm, design_text, optimum
+    from probedesign.optimization.optimum import MonteCarloCheck, confirm, design_text, optimum
     from probedesign.probe import build_probe
     from probedesign.reports.comparison_page import compare, comparison_page
     from probedesign.web.home import refresh_home
 
     check_overwrite(path, force)
     check_writable(path)  # before the search, which takes a minute
-    best = optimum(search, path.stem, on_progress)
-    write_design(design_text(search, best), path, force)  # first: the steps below may be interrupted or fail
-    refresh_home(build_probe(best.design).model, path)
-    files, confirmed = [path], None
-    try:
-        if draws:
-            stable = best.before.error_mm is not None  # a start may buckle
-            before = confirm(search.start, best.task, draws, seed, on_progress) if stable else None
-            confirmed = before, confirm(best.design, best.task, draws, seed, on_progress)
-    except InputError as error:
-        raise InputError(f"{path} is written, but {error}") from None
-    page = comparison_page(compare([search.start, best.design], best.task), best.task)
-    files += write_files(path.parent, [(f"{path.stem}-compared.html", page)])
-    return OptimizeResult(search, best, confirmed, tuple(files))
+    with show_progress() as on_progress:
+        best = optimum(search, path.stem, on_progress)
+        write_design(design_text(search, best), path, force)  # first: the steps below may be interrupted or fail
+        refresh_home(build_probe(best.design).model, path)
+        confirmed = dict[str, MonteCarloCheck | None]()
+        try:
+            if draws:
+                stable = best.before.error_mm is not None  # a start may buckle
+                confirmed["start"] = confirm(search.start, best.task, draws, seed, on_progress) if stable else None
+                confirmed["best"] = confirm(best.design, best.task, draws, seed, on_progress)
+        except InputError as error:
+            raise InputError(f"{path} is written, but {error}") from None
+        page = comparison_page(compare([search.start, best.design], best.task), best.task)
+        files = [path, *write_files(path.parent, [(f"{path.stem}-compared.html", page)])]
+    if as_json:
+        print_json({
+            "schema": 1,
+            "goal": search.goal,
+            "task": asdict(best.task),
+            "subject_to": [limit.text for limit in search.limits],
+            "start": best.before.as_dict(),
+            "best": best.after.as_dict(),
+            "design": tables_of(best.design),
+            "binding": list(best.active_constraints),
+            "bodies_looked_at": best.n_evaluations,
+            "confirmed": {name: check and asdict(check) for name, check in confirmed.items()} or None,
+            "files": [str(file) for file in files],
+        })  # fmt: skip
+        return
+    if advised is not None:
+        print(
+            f"Five touches of up to {advised:g} mN locate a point within {best.after.error_mm:.2g} mm RMS or better; "
+            f"at 0.8 of the length one reading of {best.after.detectable_mN:.2g} mN is felt. Its stiffness is not "
+            "measured yet."
+        )
+    _print(best, confirmed)
+    print("wrote", ", ".join(map(str, files)))
 
 
-def _print(best: "Optimum", confirmed: "tuple[MonteCarloCheck | None, MonteCarloCheck] | None") -> None:
+def _print(best: "Optimum", confirmed: "dict[str, MonteCarloCheck | None]") -> None:
     print(f"{best.design.name}: {best.task.text}")
     before, after = best.before.as_dict(), best.after.as_dict()
     rows = [[name, format_value(before[name]), format_value(after[name])] for name in after
@@ -196,14 +204,14 @@ def _print(best: "Optimum", confirmed: "tuple[MonteCarloCheck | None, MonteCarlo
         print(f"  readings differ from those of other places by {distinct:.2g} standard deviations only: some touches "
               "will be ambiguous or located at a wrong place; "
               f"--subject-to 'distinction>={DISTINCT:g}' excludes that")  # fmt: skip
-    if confirmed is not None:
-        for name, check in zip(("start", "optimum"), confirmed, strict=True):
-            if check is None:
-                print(f"  Monte Carlo, {name}: not run, because the probe buckles")
-                continue
-            print(f"  Monte Carlo, {name}: {check.rms_mm:.3g} ± {check.standard_error_mm:.1g} mm RMS, predicted "
-                  f"{check.bound_mm:.3g} mm; {check.located} of {check.drawn} located, {check.inside} of them "
-                  "inside their 95 % ellipsoid")  # fmt: skip
+    for name, check in confirmed.items():
+        name = "optimum" if name == "best" else name
+        if check is None:
+            print(f"  Monte Carlo, {name}: not run, because the probe buckles")
+            continue
+        print(f"  Monte Carlo, {name}: {check.rms_mm:.3g} ± {check.standard_error_mm:.1g} mm RMS, predicted "
+              f"{check.bound_mm:.3g} mm; {check.located} of {check.drawn} located, {check.inside} of them "
+              "inside their 95 % ellipsoid")  # fmt: skip
     print(f"  active constraints: {', '.join(best.active_constraints) or 'none'}")
     print(f"  {best.n_evaluations} designs evaluated from {len(best.starts)} starts, objective: "
           f"{', '.join('infeasible' if v is None else f'{v:.4g}' for v in best.starts)}")  # fmt: skip

@@ -15,27 +15,21 @@ def studio(
     design: str = "large",
     /,
     *,
-    host: str = "127.0.0.1",
     port: int = 8085,
     open_: Annotated[bool, Parameter(name="--open", negative="--no-open")] = True,
 ) -> None:
     """Design a probe in the browser: sliders, the bent probe, predicted errors. Needs the extra 'view'.
 
-    Ctrl-C ends it. Nothing is written before a button is pressed. More: docs/studio.md.
+    Only this machine can open it; Ctrl-C ends it. Nothing is written before a button is pressed. More: docs/studio.md.
 
     Args:
         design: the design file, or its name, or one of the paper's probes: large, medium or small.
-        host: address of the page; only this machine can open it.
         port: TCP port; the next free port is used.
         open_: open the page in a browser.
     """
     require("viser", "studio", "view")
     if not 0 < port < 65536:
         raise InputError(f"--port {port} must lie in 1 ... 65535")
-    from probedesign.web import LOOPBACK
-
-    if host not in LOOPBACK:
-        raise InputError(f"--host {host}: the studio is open to this machine only; use one of {', '.join(LOOPBACK)}")
     with show_progress() as on_progress:
         on_progress("loading the design", None)
         from probedesign.design import load_design
@@ -45,7 +39,7 @@ def studio(
         on_progress("predicting (the first run compiles the rod and the estimator, half a minute)", None)
         from probedesign.studio.page import StudioPage
 
-        page = StudioPage(session, host, port)
+        page = StudioPage(session, port)
     try:
         print(f"studio: {page.url}  (Ctrl-C ends it)", flush=True)
         if open_ and not webbrowser.open(page.url):

@@ -286,12 +286,9 @@ class OptimizationProblem:
     def problem(self) -> NonlinearProgram:
         """Return the problem in the form of the solver."""
         space = DesignSpace.of(self.start, self.free)
-        return self.program(space, self.goal == "force-for-error")
-
-    def program(self, space: DesignSpace, with_force: bool) -> NonlinearProgram:
-        """Return the problem over a design space, with the force as a variable or without."""
         limits = self.all_limits
         margins = [limit.value for limit in limits if limit.metric == "buckling_margin"]
         max_load = 1.1 * max([SAFETY_FACTOR, *margins])  # beyond the limit, so that the constraint is smooth there
         limited = frozenset(limit.metric for limit in limits)
+        with_force = self.goal == "force-for-error"
         return NonlinearProgram(DesignEvaluator(space, self.task, with_force, limited, max_load), limits)

@@ -3,9 +3,8 @@
 import itertools
 import math
 from contextlib import suppress
-from dataclasses import asdict, dataclass, replace
-from pathlib import Path
-from typing import Any, NamedTuple
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,7 +13,6 @@ from probedesign.core.frames import Array
 from probedesign.core.parallel import OnProgress, process_map
 from probedesign.core.units import MM
 from probedesign.design import Design, check_design
-from probedesign.design.edit import tables_of
 from probedesign.design.io import render_design
 from probedesign.estimation.model import ProbeModel, Tolerances
 from probedesign.optimization.constraints import FORCES, SPARE, NonlinearProgram, OptimizationProblem
@@ -207,35 +205,6 @@ def _errors(chunk: _Chunk) -> Array:
 
 
 # Result
-
-
-@dataclass(frozen=True)
-class OptimizeResult:
-    """Result of `optimize`."""
-
-    search: OptimizationProblem  #: statement of the problem.
-    optimum: Optimum  #: the best design.
-    #: Monte Carlo check of start and optimum; None if not requested, or for a start that buckles.
-    confirmed: tuple[MonteCarloCheck | None, MonteCarloCheck] | None
-    files: tuple[Path, ...] = ()  #: written.
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return plain data for JSON."""
-        best, checks = self.optimum, zip(("start", "best"), self.confirmed or (), strict=False)
-        confirmed = {name: None if check is None else asdict(check) for name, check in checks}
-        return {
-            "schema": 1,
-            "goal": self.search.goal,
-            "task": asdict(best.task),
-            "subject_to": [limit.text for limit in self.search.limits],
-            "start": best.before.as_dict(),
-            "best": best.after.as_dict(),
-            "design": tables_of(best.design),
-            "binding": list(best.active_constraints),
-            "bodies_looked_at": best.n_evaluations,
-            "confirmed": confirmed or None,
-            "files": [str(file) for file in self.files],
-        }
 
 
 def design_text(search: OptimizationProblem, best: Optimum) -> str:

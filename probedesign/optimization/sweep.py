@@ -28,12 +28,7 @@ MAX_POINTS = 1_000_000
 _HOW = "write KEY=START:STOP:STEP or KEY=A,B,C"
 
 
-@dataclass(frozen=True)
-class GridAxis:
-    """One key that varies."""
-
-    key: str  #: of the design file, `table.key`.
-    values: tuple[Any, ...]  #: that it takes.
+GridAxis = tuple[str, tuple[Any, ...]]  #: A key `table.key` that varies, and the values that it takes.
 
 
 def parse_axis(text: str) -> GridAxis:
@@ -51,11 +46,11 @@ def parse_axis(text: str) -> GridAxis:
         table = [name for name in known if name.partition(".")[0] == key.partition(".")[0]]
         raise unknown_name("--vary", key, table or known)
     if ":" in values:
-        return GridAxis(key, numbers_of(f"--vary {key}", values))
+        return key, _range(key, values)
     listed = tuple(_value(part.strip()) for part in values.split(","))
     if any(value == "" for value in listed):
         raise InputError(f"--vary {text!r}: an empty value; {_HOW}")
-    return GridAxis(key, listed)
+    return key, listed
 
 
 def grid_points(axes: list[GridAxis]) -> list[dict[str, Any]]:
@@ -64,33 +59,29 @@ def grid_points(axes: list[GridAxis]) -> list[dict[str, Any]]:
     Raises:
         InputError: there is no axis, a key is given twice, or there are too many points.
     """
-    keys = [axis.key for axis in axes]
+    keys = [key for key, _ in axes]
     twice = next((key for key in keys if keys.count(key) > 1), None)
     if not axes:
         raise InputError(f"nothing to vary; {_HOW}: --vary probe.tip_d_mm=1.5:4:0.25")
     if twice:
         raise InputError(f"--vary {twice}: given twice; put all its values into one")
-    size = math.prod(len(axis.values) for axis in axes)
+    size = math.prod(len(values) for _, values in axes)
     if size > MAX_POINTS:
         raise InputError(f"{size} designs are too many; the maximum is {MAX_POINTS}: use coarser steps")
-    return [dict(zip(keys, values, strict=True)) for values in itertools.product(*(a.values for a in axes))]
+    return [dict(zip(keys, values, strict=True)) for values in itertools.product(*(values for _, values in axes))]
 
 
-def numbers_of(what: str, text: str) -> tuple[float | int, ...]:
-    """Return the numbers of START:STOP:STEP, the end included; integers stay integers.
-
-    Raises:
-        InputError: the text is not a range; `what` names the option.
-    """
+def _range(key: str, text: str) -> tuple[float | int, ...]:
+    """Return the numbers of START:STOP:STEP, the end included; integers stay integers."""
     parts = [_value(part.strip()) for part in text.split(":")]
     if len(parts) != 3 or not all(isinstance(part, int | float) for part in parts):
-        raise InputError(f"{what}: {text!r} is not START:STOP:STEP in numbers")
+        raise InputError(f"--vary {key}: {text!r} is not START:STOP:STEP in numbers")
     start, stop, step = parts
     if step == 0 or (stop - start) * step < 0:
-        raise InputError(f"{what}: the step of {text!r} has the wrong sign, or is zero")
+        raise InputError(f"--vary {key}: the step of {text!r} has the wrong sign, or is zero")
     steps = (stop - start) / step
     if steps > MAX_POINTS:
-        raise InputError(f"{what}: {text!r} has more than {MAX_POINTS} values; use a coarser step")
+        raise InputError(f"--vary {key}: {text!r} has more than {MAX_POINTS} values; use a coarser step")
     whole = all(isinstance(part, int) for part in parts)
     return tuple(start + i * step if whole else float(f"{start + i * step:.12g}")
                  for i in range(math.floor(steps + 1e-9) + 1))  # fmt: skip
@@ -154,7 +145,7 @@ def sweep(
     }
     plain_task["gravities"] = [list(gravity) for gravity in task.gravities]
     request = {"schema": 1, "name": design.name, "design": fingerprint(base), "task": plain_task,
-             "vary": {axis.key: list(axis.values) for axis in axes}}  # fmt: skip
+             "vary": {key: list(values) for key, values in axes}}  # fmt: skip
     journal = Journal.open(folder / PROGRESS, request)
     missing = [i for i in range(len(grid)) if i not in journal.results]
     if missing:
@@ -170,7 +161,7 @@ def sweep(
                 appender.add(record)
                 on_progress(f"sweep: {len(journal.results)} of {len(grid)} designs", done / len(missing))
     records = [journal.results[i] for i in range(len(grid))]
-    columns = ["point", *(axis.key for axis in axes), "result", "reason", *METRICS]
+    columns = ["point", *(key for key, _ in axes), "result", "reason", *METRICS]
     write_atomically(folder / "sweep.csv", csv_tables.write(columns, records))
     return SweepResult(records, len(missing), [folder / "sweep.csv", folder / PROGRESS], journal.notes)
 

@@ -100,7 +100,7 @@ class HtmlTable:
 
 
 def html_document(
-    title: str, about: Sequence[str], body: str, style: str = "", head: str = "", lead: str = "", home: str = ""
+    title: str, about: Sequence[str], body: str, style: str = "", head: str = "", lead: str = ""
 ) -> bytes:
     """Return a page.
 
@@ -111,12 +111,11 @@ def html_document(
         style: additions to the common style sheet.
         head: additions to the head element.
         lead: HTML between the title and the lines below it.
-        home: HTML of the links at its head, until `web.home` writes those to the other pages of the design.
     """
     return (
         f'{DOCTYPE}\n<html lang="en"><head><meta charset="utf-8"><title>{escape(title)}</title>'
         f'<meta name="viewport" content="width=device-width"><style>{STYLE}{style}{PRINT_STYLE}</style>{head}</head>\n'
-        f'<body><nav>{home}</nav><main><h1>{escape(title)}</h1>\n{lead}<p class="about">{"<br>".join(about)}</p>\n'
+        f'<body><nav></nav><main><h1>{escape(title)}</h1>\n{lead}<p class="about">{"<br>".join(about)}</p>\n'
         f"{body}</main></body></html>\n"
     ).encode()
 

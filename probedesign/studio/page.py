@@ -50,6 +50,7 @@ from probedesign.studio.figures import (
 )
 from probedesign.studio.scene import StudioScene
 from probedesign.studio.session import MOUNTINGS, PinnedDesign, Session, StudioTouch, with_knots
+from probedesign.web import LOOPBACK
 from probedesign.web.guard import PHONE_SCENE, PHONE_WIDTH, LoopbackServer, protect
 from probedesign.web.scene import colour_bar
 
@@ -118,8 +119,8 @@ class StudioPage:
         figures: what is shown of the current design.
     """
 
-    def __init__(self, session: Session, host: str, port: int) -> None:
-        """Start the server at an address; the next free port is used."""
+    def __init__(self, session: Session, port: int) -> None:
+        """Start the server for this machine; the next free port is used."""
         self.session = session
         self._requests: queue.Queue[Callable[[], None]] = queue.Queue()
         self._request = self._requests.put
@@ -133,8 +134,7 @@ class StudioPage:
         self._stopped = threading.Event()
         self._window = protect(TITLE, head=HEAD, on_link=lambda text: self._request(lambda: self._open_link(text)))
         with redirect_stdout(io.StringIO()):  # viser prints a banner
-            self._server = LoopbackServer(host, port, TITLE, verbose=False)
-        self._host = host
+            self._server = LoopbackServer(LOOPBACK[0], port, TITLE, verbose=False)
         self._controls()
         self._scene = StudioScene(self._server.scene, self.move)
         self._show()
@@ -146,8 +146,7 @@ class StudioPage:
     @property
     def url(self) -> str:
         """Address of the page."""
-        host = f"[{self._host}]" if ":" in self._host else self._host
-        return f"http://{host}:{self._server.get_port()}"
+        return f"http://{LOOPBACK[0]}:{self._server.get_port()}"
 
     @property
     def _forces(self) -> tuple[float, ...]:

@@ -26,9 +26,9 @@ REQUEST = {"schema": 1, "vary": {"a": [1, 2]}}
 
 
 def test_the_end_of_a_range_counts_in_spite_of_rounding_and_every_combination_once():
-    assert parse_axis("probe.tip_d_mm=1.5:2.1:0.1").values == (1.5, 1.6, 1.7, 1.8, 1.9, 2.0, 2.1)
-    assert parse_axis("sensor.averaging_samples=36:72:36").values == (36, 72)
-    assert parse_axis("sensor.calibration=si-12-0.12, si-25-0.25").values == ("si-12-0.12", "si-25-0.25")
+    assert parse_axis("probe.tip_d_mm=1.5:2.1:0.1")[1] == (1.5, 1.6, 1.7, 1.8, 1.9, 2.0, 2.1)
+    assert parse_axis("sensor.averaging_samples=36:72:36")[1] == (36, 72)
+    assert parse_axis("sensor.calibration=si-12-0.12, si-25-0.25")[1] == ("si-12-0.12", "si-25-0.25")
     grid = grid_points([parse_axis("probe.tip_d_mm=1:3:1"), parse_axis("probe.base_d_mm=8,12")])
     assert len({tuple(point.items()) for point in grid}) == len(grid) == 6
 
