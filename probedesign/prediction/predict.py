@@ -303,10 +303,14 @@ def shares_of(condition: PredictedTouch) -> dict[str, float]:
     return {name: square / whole for name, square in squares.items()}
 
 
-def predict_touch(estimator: Estimator, fraction: float, force_N: float, direction: str) -> Condition:
+def predict_touch(
+    estimator: Estimator, fraction: float, force_N: float, direction: str, tolerances: Tolerances | None = None
+) -> Condition:
     """Predict one condition; see `predict`."""
     if not estimator.free().ok:
         return Condition(fraction, force_N, direction, "gives_way")
+    if tolerances is not None:
+        estimator = estimator.with_tolerances(tolerances)
     line = (fraction, direction)
     return conditions_of(touches_of(estimator, [line], [force_N])[force_N], [line])[0]
 
