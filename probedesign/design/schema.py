@@ -6,7 +6,7 @@ returns the quantities in SI units with their provenance.
 
 import datetime
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields, replace
 from itertools import pairwise
 from typing import Annotated, Literal, NamedTuple, Self, get_args
@@ -161,7 +161,8 @@ class ProbeTable(Table):
 
     def _check_axis(self) -> None:
         if self.axis_knots_mm_1_m is not None:
-            self._check_axis_knots(self.axis_knots_mm_1_m)
+            columns = "[s, towards X, towards Y]"
+            self._check_rows("axis_knots_mm_1_m", self.axis_knots_mm_1_m, "triple", columns)
         s, d = MM * np.array(self.knots_mm).T
         if reason := self.designed_axis.conflict(s, d / 2.0):
             key, value, most, _ = self.largest_curvature(lambda axis: not axis.conflict(s, d / 2.0))
@@ -187,16 +188,17 @@ class ProbeTable(Table):
             return "axis_knots_mm_1_m", [[s, factor * x, factor * y] for s, x, y in self.axis_knots_mm_1_m]
         return "axis_bend_deg", factor * (self.axis_bend_deg or 0.0)
 
-    def _check_axis_knots(self, knots: tuple[tuple[float, float, float], ...]) -> None:
-        name = "axis_knots_mm_1_m"
-        if not 2 <= len(knots) <= MAX_PROFILE_POINTS:
-            raise Inconsistent(name, f"needs 2 to {MAX_PROFILE_POINTS} triples [s, towards X, towards Y]")
-        for i, (before, after) in enumerate(pairwise(knots)):
-            if after[0] <= before[0]:
-                raise Inconsistent(name, f"triple {i + 2}: s = {after[0]!r} does not increase after {before[0]!r}")
-        if knots[0][0] != 0.0 or knots[-1][0] != self.length_mm:
-            ends = f"{knots[0][0]!r} and {knots[-1][0]!r}"
-            raise Inconsistent(name, f"begins and ends at s = {ends}; needs 0 and length_mm = {self.length_mm!r}")
+    def _check_rows(self, key: str, rows: Sequence[tuple[float, ...]], row: str, columns: str) -> None:
+        """Refuse rows that do not begin with values of s which increase from 0 to the length."""
+        if not 2 <= len(rows) <= MAX_PROFILE_POINTS:
+            raise Inconsistent(key, f"needs 2 to {MAX_PROFILE_POINTS} {row}s {columns}")
+        for i, ((before, *_), (after, *_)) in enumerate(pairwise(rows), 2):
+            if after <= before:
+                raise Inconsistent(key, f"{row} {i}: s = {after!r} does not increase after {before!r}")
+        for end, value, name, wanted in (("first", rows[0][0], "0", 0.0),
+                                         ("last", rows[-1][0], "length_mm", self.length_mm)):  # fmt: skip
+            if value != wanted:
+                raise Inconsistent(key, f"s of the {end} {row} is {value!r}, it must equal {name} = {wanted!r}")
 
     @property
     def designed_axis(self) -> Axis:
@@ -208,26 +210,19 @@ class ProbeTable(Table):
         return Axis.helix(self.length_mm * MM, bend, self.axis_turns or 0.0, azimuth)
 
     def _check_profile(self) -> None:
-        points = self.profile_mm
-        if points is None or not 2 <= len(points) <= MAX_PROFILE_POINTS:
-            raise Inconsistent("profile_mm", f"needs 2 to {MAX_PROFILE_POINTS} pairs [s, diameter]")
-        for i, (s, d) in enumerate(points):
+        points = self.profile_mm or ()
+        self._check_rows("profile_mm", points, "pair", "[s, diameter]")
+        for i, (_, d) in enumerate(points, 1):
             if not MIN_DIAMETER_MM <= d <= MAX_DIAMETER_MM:
                 allowed = f"{MIN_DIAMETER_MM:g} ... {MAX_DIAMETER_MM:g} mm"
-                raise Inconsistent("profile_mm", f"pair {i + 1}: diameter {d!r} is outside {allowed}")
-            if i and s <= points[i - 1][0]:
-                raise Inconsistent(
-                    "profile_mm", f"pair {i + 1}: s = {s!r} does not increase after {points[i - 1][0]!r}"
-                )
-        (s0, d0), (s1, d1) = points[0], points[-1]
-        for what, value, key, wanted in (
-            ("s of the first pair", s0, "0", 0.0),
-            ("s of the last pair", s1, "length_mm", self.length_mm),
-            ("the first diameter", d0, "base_d_mm", self.base_d_mm),
-            ("the last diameter", d1, "tip_d_mm", d1 if self.tip_d_mm is None else self.tip_d_mm),
+                raise Inconsistent("profile_mm", f"pair {i}: diameter {d!r} is outside {allowed}")
+        first, last = points[0][1], points[-1][1]
+        for end, value, key, wanted in (
+            ("first", first, "base_d_mm", self.base_d_mm),
+            ("last", last, "tip_d_mm", last if self.tip_d_mm is None else self.tip_d_mm),
         ):
             if value != wanted:
-                raise Inconsistent("profile_mm", f"{what} is {value!r}, it must equal {key} = {wanted!r}")
+                raise Inconsistent("profile_mm", f"the {end} diameter is {value!r}, it must equal {key} = {wanted!r}")
 
     def _check_tip(self) -> None:
         if self.tip == "blunt":

@@ -130,14 +130,14 @@ BAD = [
     ({"axis": "arc"}, "axis_bend_deg is missing"),
     ({"axis": "helix", "axis_bend_deg": 90.0}, "axis_turns is missing"),
     ({"axis": "knots"}, "axis_knots_mm_1_m is missing"),
-    ({"axis_bend_deg": 90.0}, "axis_bend_deg is only for axis = 'arc' or 'helix'"),
-    ({"axis": "arc", "axis_bend_deg": 90.0, "axis_turns": 1.0}, "axis_turns is only for axis = 'helix'"),
+    ({"axis_bend_deg": 90.0}, 'axis_bend_deg is only for axis = "arc" or "helix"'),
+    ({"axis": "arc", "axis_bend_deg": 90.0, "axis_turns": 1.0}, 'axis_turns is only for axis = "helix"'),
     ({"axis": "arc", "axis_bend_deg": 1000.0}, "axis_bend_deg = 1000 has a radius of curvature of 8.59 mm at s = 0 mm; "
      "at least 12 mm"),
     ({"axis": "arc", "axis_bend_deg": 200.0}, "axis_bend_deg = 200 returns into the mount"),
     ({"axis": "helix", "axis_bend_deg": 700.0, "axis_turns": 1.5, "base_d_mm": 20.0}, "axis_bend_deg = 700"),
     ({"axis": "knots", "axis_knots_mm_1_m": ((0, 1, 1), (5, 2, 2), (3, 3, 3), (150, 1, 1))}, "triple 3: s = 3.0"),
-    ({"axis": "knots", "axis_knots_mm_1_m": ((0, 1, 1), (149, 1, 1))}, "needs 0 and length_mm = 150.0"),
+    ({"axis": "knots", "axis_knots_mm_1_m": ((0, 1, 1), (149, 1, 1))}, "must equal length_mm = 150.0"),
     ({"axis": "knots", "axis_knots_mm_1_m": ((0, 1, float("nan")), (150, 1, 1))}, "finite"),
 ]  # fmt: skip
 
