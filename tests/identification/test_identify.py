@@ -167,13 +167,10 @@ def test_E_is_conditional_on_the_designs_diameters(cameras: Campaign, found_by_c
     assert E.by_diameter == pytest.approx(-4.0, abs=0.3)
 
 
-def test_sag_alone_determines_E_over_density(model: ProbeModel) -> None:
+def test_sag_alone_determines_E_over_density_and_a_weighing_the_density(model: ProbeModel) -> None:
     other = identify(_sagging(model, None), ("E", "density"))
     density = next(one for one in other.found if one.name == "density")
     assert density.result == "not_observable" and "E/density" in density.why
-
-
-def test_weighing_determines_the_density(model: ProbeModel) -> None:
     other = identify(_sagging(model, MassMeasurement(1.02 * model.mass, 1e-3 * model.mass, 0.0)), ("E", "density"))
     density = other.of("density")
     assert density is not None
@@ -205,23 +202,17 @@ def test_more_noise_than_stated_widens_the_interval(cameras: Campaign, found_by_
     assert other.of("E").std == pytest.approx(reference.of("E").std, rel=0.15)
 
 
-def test_too_few_tests_are_refused(model: ProbeModel) -> None:
+def test_too_few_and_uninformative_tests_are_refused(model: ProbeModel) -> None:
+    """One sag, and a sag known to ten centimetres."""
     data = _sagging(model, None)
     with pytest.raises(InputError, match="too few tests for E, density: 1 values are measured for 2 unknowns"):
         identify(replace(data, tests=data.tests[:1]), ("E", "density"))
-
-
-def test_uninformative_tests_are_refused(model: ProbeModel) -> None:
-    """A sag known to ten centimetres."""
-    data = _sagging(model, None)
     trials = tuple(replace(t, std_sag=0.1) for t in data.tests)
     with pytest.raises(InputError, match="too few tests, or too weak ones: E: weakly observable"):
         identify(replace(data, tests=trials), ("E",))
 
 
 def _shared(model: ProbeModel) -> CommonParameters:
-    from probedesign.estimation.model import Tolerances
-
     return CommonParameters(model, Tolerances.of(model), 1e-4, 1e-3)
 
 
