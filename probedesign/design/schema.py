@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields, replace
 from itertools import pairwise
-from typing import Annotated, Literal, NamedTuple, Self, get_args
+from typing import Annotated, ClassVar, Literal, NamedTuple, Self, get_args
 
 import numpy as np
 from pydantic import Field, field_validator, model_validator
@@ -359,21 +359,30 @@ class PrinterRecord(Table):
                        PrintLimits(**given, source=f"{self.source}{left}"))  # fmt: skip
 
 
-def _check_own(table: Table, choice: str, own: str = "own", how: str = ", or name its file: file = ...") -> None:
-    """Refuse a description in the design file without, or beside another than, the name `CUSTOM` of a choice."""
-    described = getattr(table, own)
-    if (described is not None) != (getattr(table, choice) == CUSTOM):
-        missing = f"is missing beside {choice} = {CUSTOM!r}; describe it there{how}"
-        unused = f"is only for {choice} = {CUSTOM!r}; remove it or change {choice}"
-        raise Inconsistent(own, missing if described is None else unused)
+class ChoiceTable(Table):
+    """A table with a key that names a record of the catalog, or is `CUSTOM` where another key describes it."""
+
+    choice: ClassVar[str]
+    description: ClassVar[str] = "own"
+
+    @model_validator(mode="after")
+    def _described(self) -> Self:
+        own, described, choice = self.description, getattr(self, self.description), self.choice
+        if (described is not None) != (getattr(self, choice) == CUSTOM):
+            file = ", or name its file: file = ..." if own == "own" else ""
+            missing = f"is missing beside {choice} = {CUSTOM!r}; describe it there{file}"
+            unused = f"is only for {choice} = {CUSTOM!r}; remove it or change {choice}"
+            raise Inconsistent(own, missing if described is None else unused)
+        return self
 
 
-class MaterialTable(Table):
+class MaterialTable(ChoiceTable):
     """`[material]`: a resin by name; numbers given here replace those of the resin.
 
     In a file, `file` names a resin file, which `io` reads into `own`.
     """
 
+    choice = "resin"
     resin: str = "elastic-50a"
     own: ResinRecord | None = None
     youngs_modulus_mpa: Annotated[float, Field(ge=0.01, le=1e5)] | None = None
@@ -385,27 +394,18 @@ class MaterialTable(Table):
     identified_tests: Annotated[tuple[Digest, ...], FromArray] = ()
     provenance: ProvenanceTable = ProvenanceTable()
 
-    @model_validator(mode="after")
-    def _described(self) -> Self:
-        _check_own(self, "resin")
-        return self
 
-
-class SensorTable(Table):
+class SensorTable(ChoiceTable):
     """`[sensor]`: the sensor, its calibration and the number of samples averaged to one reading.
 
     In a file, `file` names a sensor file, which `io` reads into `own`.
     """
 
+    choice = "model"
     model: str = DEFAULT_SENSOR
     calibration: str | None = None
     averaging_samples: Annotated[int, Field(ge=1, le=70000)] = 36
     own: SensorRecord | None = None
-
-    @model_validator(mode="after")
-    def _described(self) -> Self:
-        _check_own(self, "model")
-        return self
 
 
 class FlangeTable(Table):
@@ -444,13 +444,14 @@ class FlangeTable(Table):
         return flange if self.recess_d_mm is None else replace(flange, spigot_play=self.recess_d_mm * MM - spigot[0])
 
 
-class MountTable(Table):
+class MountTable(ChoiceTable):
     """`[mount]`: robot flange, gravity, compliance of the root, and how the flange is held.
 
     Lengths that are not given take the defaults of the mount, and a root that is not given is computed for `hold`
     (`mount.root_radii`).
     """
 
+    choice, description = "robot_flange", "flange"
     robot_flange: str = "iso-9409-1-50-4-m6"
     flange: FlangeTable | None = None
     gravity_base_m_s2: Annotated[tuple[float, float, float], FromArray] = (9.81, 0.0, 0.0)
@@ -466,7 +467,6 @@ class MountTable(Table):
         if math.hypot(*self.gravity_base_m_s2) > MAX_GRAVITY:
             given = f"= {list(self.gravity_base_m_s2)} is longer than {MAX_GRAVITY:g} m/s²"
             raise Inconsistent("gravity_base_m_s2", f"{given}; give it in m/s², e.g. [9.81, 0.0, 0.0]")
-        _check_own(self, "robot_flange", "flange", "")
         return self
 
 
@@ -489,12 +489,13 @@ class ContactTable(Table):
     provenance: ContactProvenanceTable = ContactProvenanceTable()
 
 
-class PrintTable(Table):
+class PrintTable(ChoiceTable):
     """`[print]`: the printer, and the printed over the drawn size that compensates shrinkage.
 
     In a file, `file` names a printer file, which `io` reads into `own`.
     """
 
+    choice = "printer"
     printer: str = "form-3"
     own: PrinterRecord | None = None
     scale_xy: Scale = 1.0
@@ -502,11 +503,6 @@ class PrintTable(Table):
     offset_xy_mm: Annotated[float, Field(ge=-0.5, le=0.5)] = 0.0
     rigid_scale_xy: Scale = 1.0
     rigid_scale_z: Scale = 1.0
-
-    @model_validator(mode="after")
-    def _described(self) -> Self:
-        _check_own(self, "printer")
-        return self
 
 
 class TolerancesTable(Table):
@@ -568,7 +564,7 @@ class Design(Table, Displayed):
             raise Inconsistent("date", f'= {value!r} is not a date; write it as "2026-01-31"') from None
 
     @model_validator(mode="after")
-    def _root_fits(self) -> Self:
+    def _fits(self) -> Self:
         root = self.mount.root_rigid_radii or 0.0
         rigid = root * self.probe.base_d_mm / 2.0
         if rigid >= self.probe.length_mm:
@@ -576,10 +572,6 @@ class Design(Table, Displayed):
             raise Inconsistent(
                 "mount.root_rigid_radii", f"= {root:g} makes {rigid:g} mm rigid, the whole probe; stay below {limit:g}"
             )
-        return self
-
-    @model_validator(mode="after")
-    def _bow_fits(self) -> Self:
         bow, length = self.tolerances.bow_mm, self.probe.length_mm
         if bow is not None and bow >= length:
             raise Inconsistent(
