@@ -43,8 +43,9 @@ def _cached(function: Callable[..., Any], options: dict[str, Any]) -> Any:
         call_template = dispatcher.get_call_template
 
         def by_types(args: Any, kws: Any) -> Any:
-            """Compile once for all constants of one type, where numba would compile for each constant."""
-            return call_template([types.unliteral(arg) for arg in args], kws)
+            """Compile once for all integer constants, where numba would compile for each; flags select code."""
+            integer = types.IntegerLiteral
+            return call_template([types.unliteral(arg) if isinstance(arg, integer) else arg for arg in args], kws)
 
         dispatcher.get_call_template = by_types
     return dispatcher
