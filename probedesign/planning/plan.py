@@ -417,12 +417,11 @@ class _Choice:
         for _ in range(MAX_EXCHANGES if chosen else 0):
             exchanges = []
             for i, test in enumerate(chosen):
-                pool = [
-                    other for other in candidates if other not in chosen and other.minutes <= minutes + test.minutes
-                ]
+                left = minutes + test.minutes
+                pool = [other for other in candidates if other not in chosen and other.minutes <= left]
                 if pool:
-                    gains = self._values(total - self.matrices[test.name], pool)
-                    exchanges.append((float(gains.max()), i, pool[int(np.argmax(gains))]))
+                    values = self._values(total - self.matrices[test.name], pool)
+                    exchanges.append((float(values.max()), i, pool[int(np.argmax(values))]))
             largest, i, other = max(exchanges, key=lambda exchange: exchange[0], default=(-np.inf, 0, chosen[0]))
             if largest - self.value(total) < MIN_GAIN:
                 break
