@@ -203,12 +203,12 @@ class FusionState:
             self._scatter, self._creep, float(self.ramp[row]), self._work.block, self.local[row], self.reduced[row],
         )  # fmt: skip
 
-    def move_row(self, row: int, share: float = 1.0, max_step: float = MAX_STEP, beyond: float = 0.0) -> float:
+    def move_row(self, row: int, share: float = 1.0, beyond: float = 0.0) -> float:
         """Move the touch of a row towards the solution.
 
         Args:
             row: which.
-            share: of the step to go at most; max_step: of arclength over length.
+            share: of the step to go at most.
             beyond: how far beyond the end of the rod the errors may place a touch that stays there [m].
 
         Returns:
@@ -216,7 +216,7 @@ class FusionState:
         """
         rod = self.model.rod
         return float(fusion_kernel.step_keyframe(
-            self.touches[row], self.lin[row], self.local[row], self.common[row], share, max_step * rod.length,
+            self.touches[row], self.lin[row], self.local[row], self.common[row], share, MAX_STEP * rod.length,
             rod.flank_end, beyond, self._work.step,
         ))  # fmt: skip
 
@@ -226,9 +226,9 @@ class FusionState:
         """Linearise all touches of a batch; return whether all have a stable equilibrium."""
         return all(self.linearise_row(row) for row in range(self.readings) if self.touched[row])
 
-    def step(self, share: float, max_step: float = MAX_STEP, beyond: float = 0.0) -> float:
+    def step(self, share: float, beyond: float = 0.0) -> float:
         """Call `move_row` for all touches of a batch, after `solved`; return the largest step."""
-        return max(self.move_row(row, share, max_step, beyond) for row in range(self.readings) if self.touched[row])
+        return max(self.move_row(row, share, beyond) for row in range(self.readings) if self.touched[row])
 
     def solve(self, walk: Array, start: float) -> float:
         """Solve for the common unknowns at all rows in `order`, as reduced, and return the least misfit squared.
