@@ -91,10 +91,11 @@ def _print_properties(prediction: "Prediction") -> None:
     print(f"{prediction.name}  geometry {prediction.fingerprint}")
     print(prediction.verdict)
     fused = prediction.fused_headline
-    error = fused.predicted_error_mm
+    error, gain = fused.predicted_error_mm, prediction.bench_gain
     print_table(
         {
             "fused": f"{'not located' if error is None else f'{error:.2g} mm RMS'}; {fused.label}",
+            **({} if gain is None else {"bench": gain.text}),
             "mass": f"{prediction.mass_g:.3g} g, flexible part",
             "sag": sag,
             "noise": f"{prediction.noise_force_mN:.3g} mN and {prediction.noise_moment_Nmm:.3g} N·mm "

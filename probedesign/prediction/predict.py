@@ -3,7 +3,7 @@ error."""
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -14,7 +14,7 @@ from probedesign.core.notebook import Tabular
 from probedesign.core.parallel import OnProgress, quiet
 from probedesign.core.units import MM
 from probedesign.estimation.estimator import Estimator
-from probedesign.estimation.model import ProbeModel, Tolerances
+from probedesign.estimation.model import AFTER_AN_HOUR, ProbeModel, Tolerances
 from probedesign.prediction.budget import CAUSES
 from probedesign.prediction.fused import (
     FUSED_CAUSES,
@@ -115,6 +115,26 @@ class MonteCarloResult:
 
 
 @dataclass(frozen=True)
+class BenchGain:
+    """Errors of one probe with its stiffness known as after an hour on the bench, the rest as before; None where
+    nothing is located."""
+
+    stiffness: float  #: standard deviation of E and of G then, relative.
+    contact_fraction: float  #: arclength of the touched section over the length.
+    #: RMS distance of one reading of `HEADLINE_FORCE_N`, worst direction, by all error sources.
+    predicted_error_mm: float | None
+    fused_error_mm: float | None  #: the same of fused touches up to `SHOWN_N`.
+
+    @property
+    def text(self) -> str:
+        """Return the gain in words."""
+        single, fused = ("not located" if error is None else f"{error:.2g} mm RMS"
+                         for error in (self.predicted_error_mm, self.fused_error_mm))  # fmt: skip
+        return (f"an hour of it, E known to {self.stiffness:.0%}: at {self.contact_fraction:g} L one reading of "
+                f"{1e3 * HEADLINE_FORCE_N:g} mN {single}, fused up to {1e3 * SHOWN_N:g} mN {fused}")  # fmt: skip
+
+
+@dataclass(frozen=True)
 class Prediction(Tabular):
     """Predicted performance of a probe."""
 
@@ -136,6 +156,8 @@ class Prediction(Tabular):
     pressing: PressSchedule = PRESSING  #: how they are made.
     monte_carlo: tuple[MonteCarloResult, ...] = ()  #: of the conditions that are located; empty if none was run.
     resin: str = ""  #: name of the resin; empty if unknown.
+    #: what an hour on the bench gains; None if the stiffness is known as well already, and in a preview.
+    bench_gain: BenchGain | None = None
     over_directions: tuple[ErrorOverDirections, ...] = ()  #: of a curved probe, over the same places and forces.
 
     @property
@@ -225,7 +247,7 @@ def predict(
     lines = [(fraction, direction) for fraction in fractions for direction in directions]
     ends = [(end, direction) for direction in directions if (end, direction) not in lines]
     # What holds for a probe without a stable free equilibrium, and what a preview leaves out.
-    over = tuple[ErrorOverDirections, ...]()
+    gain, over = None, tuple[ErrorOverDirections, ...]()
     reach = tuple(ForceThresholds(*line, None, None, None, None, "gives_way", None) for line in lines)
     detection = tuple(Detection(*line, None) for line in lines)
     conditions = {(*line, force): Condition(line[0], force, line[1], "gives_way")
@@ -248,6 +270,7 @@ def predict(
             reach = force_thresholds(lines + ends, {f: touches[f] for f in LADDER_N}, end)[: len(lines)]
             limits = [row.greatest_force_N for row in reach]
             fused = fused_conditions(lines, touches, forces_N, pressing, on_progress)
+            gain = _bench_gain(estimator, fractions, directions, pressing)
         detection = tuple(
             _detection(touches[_WEAK_N], i, line, limit)
             for i, (line, limit) in enumerate(zip(lines, limits, strict=True))
@@ -272,8 +295,27 @@ def predict(
         fused=fused,
         pressing=pressing,
         resin=model.resin,
+        bench_gain=gain,
         over_directions=over,
     )  # fmt: skip
+
+
+def _bench_gain(
+    estimator: Estimator, fractions: Sequence[float], directions: Sequence[str], pressing: PressSchedule
+) -> BenchGain | None:
+    known = estimator.priors
+    better = replace(known, youngs_modulus=min(known.youngs_modulus, AFTER_AN_HOUR),
+                     shear_modulus=min(known.shear_modulus, AFTER_AN_HOUR))  # fmt: skip
+    if better == known:
+        return None
+    fraction = min(fractions, key=lambda fraction: abs(fraction - HEADLINE_FRACTION))
+    lines = [(fraction, direction) for direction in directions]
+    touches = touches_of(estimator.with_tolerances(better), lines, (HEADLINE_FORCE_N, *pressing.forces(SHOWN_N)))
+    single = worst(conditions_of(touches[HEADLINE_FORCE_N], lines), HEADLINE_FORCE_N)
+    fused = fused_headline_of(fused_conditions(lines, touches, (SHOWN_N,), pressing), pressing.touches, fraction)
+    return BenchGain(
+        better.youngs_modulus, fraction, single[0].predicted_error_mm if single else None, fused.predicted_error_mm
+    )
 
 
 DIRECTION_STEP_DEG = 15  #: Between the directions of `errors_over_directions`.

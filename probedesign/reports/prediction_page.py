@@ -116,6 +116,7 @@ def prediction_page(prediction: Prediction, estimator: Estimator) -> bytes:
         f"assumed until measured: {assumed_text(prediction.assumptions)}; standard deviations at the end",
         f"{fused.label}, fused: {'not located' if fused_mm is None else f'{fused_mm:.2g} mm RMS'}",
         f"fused: {prediction.pressing.text}",
+        *([] if prediction.bench_gain is None else [f"bench: {prediction.bench_gain.text}"]),
     ]
     sections = dict[str, list[ReportFigure]]()
     for group, chart, heading, caption in _figures(prediction, estimator):

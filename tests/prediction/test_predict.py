@@ -319,3 +319,17 @@ def test_the_quantile_of_what_is_no_covariance():
     assert np.isnan(radius_95(np.full((3, 3), np.nan)))
     assert radius_95(np.diag([np.inf, 1.0, 1.0])) == np.inf
     assert radius_95(np.zeros((3, 3))) == 0.0
+
+
+def test_an_hour_on_the_bench_gains_what_a_better_known_stiffness_does(large):
+    """The gain is the prediction with E and G to 3 %; there is none for a probe that is known better."""
+    unidentified = replace(large.model, tolerances=Tolerances())
+    shown, benched = (
+        predict(unidentified, (0.8,), (0.005, 0.01), tolerances=tolerances)
+        for tolerances in (None, replace(Tolerances(), youngs_modulus=0.03, shear_modulus=0.03))
+    )
+    gain, single = shown.bench_gain, [c for c in benched.conditions if c.force_N == 0.01]
+    assert gain.predicted_error_mm == pytest.approx(max(c.predicted_error_mm for c in single), rel=1e-6)
+    assert gain.fused_error_mm == pytest.approx(benched.fused_headline.predicted_error_mm, rel=1e-6)
+    assert gain.fused_error_mm < 0.8 * shown.fused_headline.predicted_error_mm  # 2.7 of 4.0 mm: E is the largest cause
+    assert benched.bench_gain is None and predict(large.model, (0.8,), (0.01,)).bench_gain is None
