@@ -325,8 +325,9 @@ def seek(case, load, start, body, tol):
     if start != COLD:
         _apply(case, 1.0, False)
         near = _newton(case, body, max(tol, PATH_TOLERANCE), NEAR, MAX_TURN)
-    if not near and start != WARM_ONLY:
-        near = _from_no_load(case, body, tol, False) or _from_no_load(case, body, tol, True)
+    if start != WARM_ONLY:
+        for careful in (False, True):
+            near = near or _from_no_load(case, body, tol, careful)
     if near:
         case.growth = 1.0
         for axis in range(3 if body.constants[GENERAL] != 0.0 else 2):
