@@ -206,7 +206,7 @@ GROSS = [
     GrossError("base rotated by 90 degrees about its axis", "", _turned),
     GrossError("x of the reference mirrored", "", partial(_mapped, rows=[0, 1, 2], signs=[-1.0, 1.0, 1.0])),
     GrossError("x and y of the reference exchanged", "", partial(_mapped, rows=[1, 0, 2], signs=[1.0, 1.0, 1.0])),
-    GrossError("places in m in columns of mm", "unit", _in_metres),
+    GrossError("places in m in columns of mm", "probe", _in_metres),
     GrossError("markers 9 and 10 exchanged", "", _exchanged, cameras_only=True),
     GrossError("markers numbered too high by 1", "marker", _numbered_too_high, cameras_only=True),
     GrossError("raw sensor readings in the base's frame", "frame", _as_the_sensor_shows),
