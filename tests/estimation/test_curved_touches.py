@@ -21,7 +21,6 @@ from tests.reference.round_rods import Probes
 AXES = {
     "straight": {},
     "arc": {"axis": "arc", "axis_bend_deg": 86.0, "axis_azimuth_deg": -90.0},
-    "half a helix": {"axis": "helix", "axis_bend_deg": 143.0, "axis_turns": 0.5},
     "helix": {"axis": "helix", "axis_bend_deg": 215.0, "axis_turns": 1.0, "axis_azimuth_deg": -90.0},
 }
 CURVED = [name for name in AXES if name != "straight"]

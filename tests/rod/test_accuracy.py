@@ -7,7 +7,7 @@ from rods import ALL_RODS, PROFILE, bending_force
 from probedesign.geometry.cross_section import CrossSection
 from probedesign.rod.rod import Rod
 
-SAMPLE = 80
+SAMPLE = 50
 
 
 def random_rod(rng, kind):
