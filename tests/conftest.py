@@ -11,12 +11,13 @@ settings.load_profile("probedesign")
 
 #: Files that take longest. They come first, so that at the end no worker waits for another with a long one.
 LONGEST = (
-    "tests/test_docs.py", "tests/cad/test_parts.py", "tests/cad/test_export.py", "tests/optimization/test_optimum.py",
-    "tests/reports/test_every_page.py", "tests/identification/test_fit_checks.py",
-    "tests/identification/test_mistakes.py", "tests/printing/test_layers.py",
-    "tests/live/test_view_page.py", "tests/studio/test_page.py", "tests/estimation/test_fusion.py",
-    "tests/estimation/test_curved_touches.py", "tests/mapping/test_explore.py", "tests/cad/test_documents.py",
-    "tests/reports/test_notebook.py", "tests/live/test_netft.py",
+    "tests/test_docs.py", "tests/studio/test_page.py", "tests/reports/test_every_page.py",
+    "tests/live/test_view_page.py", "tests/live/test_payload.py", "tests/identification/test_fit_checks.py",
+    "tests/mapping/test_explore.py", "tests/cad/test_export.py", "tests/cad/test_parts.py",
+    "tests/optimization/test_optimum.py", "tests/cad/test_documents.py", "tests/printing/test_layers.py",
+    "tests/mapping/test_next_touch.py", "tests/identification/test_mistakes.py",
+    "tests/estimation/test_curved_touches.py", "tests/planning/test_plan.py", "tests/live/test_shutdown.py",
+    "tests/mapping/test_shapes.py",
 )  # fmt: skip
 
 
