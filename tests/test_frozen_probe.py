@@ -198,9 +198,18 @@ def test_a_forged_axis_is_refused(axis, message, frozen, path):
 
 
 @pytest.mark.parametrize("section", SECTIONS)
-def test_rod_and_geometry_have_the_same_mass(section):
+def test_rod_and_geometry_have_the_same_mass_and_the_table_the_closed_forms_of_the_base(section):
+    """12 mm wide: the tube of d = 6 mm, the ellipse of b = 3.6 mm; E is 2.32 MPa, G 0.761 MPa."""
     probe = probe_with(section)
     assert probe.model.mass == pytest.approx(probe.mass, rel=1e-12, abs=0)  # two closed forms
+    a, b, d = 6e-3, 3.6e-3, 3e-3
+    area, xx, yy, torsion = {
+        "hollow": (a**2 - d**2, (a**4 - d**4) / 4, (a**4 - d**4) / 4, (a**4 - d**4) / 2),
+        "elliptic": (a * b, a * b**3 / 4, a**3 * b / 4, a**3 * b**3 / (a**2 + b**2)),
+    }[section]
+    table = freeze(probe.model)["sections"]
+    found = [table[key][0] for key in ("area_m2", "EI_xx_Nm2", "EI_yy_Nm2", "GJ_Nm2")]
+    assert found == pytest.approx(np.pi * np.array([area, 2.32e6 * xx, 2.32e6 * yy, 0.761e6 * torsion]), rel=1e-12)
 
 
 # Friction

@@ -315,6 +315,9 @@ def test_what_a_bag_does_not_hold(bag, query, stated):
     assert stated in str(error.value)
 
 
-def test_an_empty_folder_is_no_bag(tmp_path):
-    with pytest.raises(InputError, match="cannot be read as a ROS 2 bag"):
-        open_poses(str(tmp_path))
+def test_what_is_no_bag(tmp_path):
+    for name in ("", "junk.mcap", "junk.db3"):
+        if name:
+            (tmp_path / name).write_bytes(b"not a bag")
+        with pytest.raises(InputError, match=r"cannot be read as a ROS 2 bag|not an MCAP file"):
+            open_poses(str(tmp_path / name))

@@ -79,7 +79,7 @@ def test_kill_9_costs_the_last_second_at_most(bundle, estimator, stream, tmp_pat
     file.close()
 
 
-@pytest.mark.parametrize(("how", "kind"), [("SIGHUP", "csv"), ("SIGTERM", "mcap")])
+@pytest.mark.parametrize(("how", "kind"), [("SIGINT", "csv"), ("SIGTERM", "mcap"), ("SIGHUP", "mcap")])
 def test_the_recording_is_complete_however_the_run_ends(bundle, estimator, stream, tmp_path, how, kind):
     path = tmp_path / f"ended.{kind}"
     with started(bundle, stream, path) as process:

@@ -78,7 +78,7 @@ def test_two_touches_of_one_point_are_fused(found):
 
 
 def test_the_simulated_touches_are_light_and_clear_of_the_cards(house):
-    """Forces below 10 mN, moments below 1 N·mm, none above 5 mN; the probe does not touch the card beyond the edge."""
+    """Forces below 5 mN; the probe does not touch the card beyond the edge."""
     for touch in house[0].touches:
         assert touch.force < 5e-3
         assert touch.clearance > -0.1 * MM  # at the edge itself it is none; the chord's sag is that
