@@ -8,7 +8,7 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
+from itertools import accumulate, combinations
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +21,7 @@ from probedesign.core.frames import Array, pose
 from probedesign.vision.camera import DISTORTIONS, LINEAR, Camera
 
 MAX_BYTES = 5_000_000
+MAX_DEPTH = 100  #: Of nested values. OpenCV reads them by recursion, and its stack ends after some 100 000.
 #: Reprojection error of a file that states none [px] (assumed: a careful calibration reaches 0.1 to 0.5 px).
 ASSUMED_PX = 0.5
 ROTATION_TOLERANCE = 1e-3  #: Largest deviation of Rᵀ R from the identity: files round to three digits or more.
@@ -162,11 +163,15 @@ def _from_opencv(path: Path, text: str) -> dict[str, Any]:
             return [node.at(i).real() for i in range(node.size())]
         return node.mat() if node.isMap() else node.string() if node.isString() else node.real()
 
+    nested = accumulate(1 if each[-1] not in "]}/>" else -1 for each in re.findall(r"[][{}]|<(?=\w)|</|/>", text))
+    damaged = InputError(f"{path}: is not a calibration file of OpenCV, or is cut off")
+    if max(nested, default=0) > MAX_DEPTH:
+        raise damaged
     try:
         storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
         return {key: value(storage.getNode(key)) for key in storage.root().keys() if key in KEYS}  # noqa: SIM118
     except (cv2.error, SystemError):
-        raise InputError(f"{path}: is not a calibration file of OpenCV, or is cut off") from None
+        raise damaged from None
 
 
 def _from_yaml(path: Path, text: str) -> Any:

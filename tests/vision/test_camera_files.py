@@ -205,6 +205,8 @@ NOT_FINITE = TRUE[0].K * [[1, 1, 1], [1, np.nan, 1], [1, 1, 1]]
         (text(ROS.replace("3000.0, 0.0, 959.5", "x, 0.0, 959.5")), "is not a matrix of numbers"),
         (text('<?xml version="1.0"?><!DOCTYPE a [<!ENTITY b "c">]><a>&b;</a>'), "is not a calib"),
         (text("<a/>"), "is not a calibration file"),
+        (text("<?xml version='1.0'?><opencv_storage>" + 300_000 * "<a>\n"), "is not a calibration file"),
+        (text("%YAML:1.0\n---\na: " + 200_000 * "{a: "), "is not a calibration file"),
         (lambda folder: [folder / "left.yaml", folder / "right.yaml"], "no such calibration file"),
         (lambda folder: [one_camera(folder, TRUE[0])], "1 files for 2 cameras"),
         (lambda folder: [one_camera(folder, TRUE[0]), one_camera(folder, TRUE[1], R=None, T=None)], "all or none"),
