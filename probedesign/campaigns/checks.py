@@ -1,7 +1,8 @@
 """Checks of a campaign before anything is fitted to it: its probe, the order of its markers, and plausible values.
 
-A column in a wrong unit is off by a thousand. Each refusal is one line that names file, test, value and remedy. Values
-that contradict each other are found by `identify`.
+A column in a wrong unit is off by a thousand. Known forces that are wrong throughout would be outliers of a fit, which
+accepts as many; they are compared with the readings. Each refusal is one line that names file, test, value and remedy.
+Other values that contradict each other are found by `identify`.
 """
 
 import math
@@ -14,7 +15,7 @@ from probedesign.campaigns.manifest import FILE as MANIFEST
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
 from probedesign.core.units import GRAM, MM, N_MM
-from probedesign.estimation.model import ProbeModel
+from probedesign.estimation.model import ProbeModel, Tolerances
 
 #: Margin for errors of the reference, noise and drift of the sensor, in standard deviations: exceeded by one valid pair
 #: in 3 million.
@@ -32,6 +33,10 @@ SAG_FACTOR = 5.0
 #: Distance from the base, in lengths of the probe, at which a contact force may seem to act, even if part of it is
 #: lifted by another (assumed).
 MAX_LEVER = 3.0
+#: Fraction of a load by which a reading may differ: gains and slopes stay far below, wrong units and weights do not
+#: (assumed).
+HALF = 0.5
+TINY = 1e-12  #: A force that no sensor distinguishes from zero [N].
 
 
 def check_probe(campaign: Campaign, model: ProbeModel) -> None:
@@ -58,6 +63,7 @@ def check_probe(campaign: Campaign, model: ProbeModel) -> None:
     _check_metres(campaign, model)
     _check_range(campaign, model)
     _check_lever(campaign, model)
+    _check_loads(campaign, model)
 
 
 def _check_identity(campaign: Campaign, model: ProbeModel) -> None:
@@ -220,7 +226,49 @@ def _check_lever(campaign: Campaign, model: ProbeModel) -> None:
             over.append((test, force, moment))
     if 2 * len(over) > len(read):
         test, force, moment = over[0]
-        lever = moment / max(force, 1e-12)
+        lever = moment / max(force, TINY)
         _refuse(campaign, WRENCHES, test,
                 f"{force:.4g} N with {moment / N_MM:.4g} N·mm act {lever / MM:.4g} mm away, {_length(model)}; are "
                 "forces and moments in the units of their columns?")  # fmt: skip
+
+
+def _check_loads(campaign: Campaign, model: ProbeModel) -> None:
+    """Refuse known forces most of which differ from what the sensor read, less the weight or the free probe."""
+    read = {test.name: test.mean_wrench_base(model)[:3] - model.mass * test.gravity_base
+            for test in campaign.tests if len(test.wrenches)}  # fmt: skip
+    free = [read[test.name] for test in campaign.tests if test.free and test.name in read]
+    zero = np.mean(free, axis=0) if free else np.zeros(3)
+    # Without a free test, a tare may have removed the whole weight.
+    weight = 0.0 if free else model.mass * float(np.linalg.norm(campaign.gravity_world))
+    drift = Tolerances.of(model).drift_steps ** 2 * model.averaging_samples
+    wrong, loads = list[tuple[float, Test, str]](), 0
+    for test in campaign.tests:
+        if test.name not in read or test.free or (known := test.force_base) is None:
+            continue
+        margin = weight + DEVIATIONS * model.noise.force * math.sqrt(2.0 * (1.0 / len(test.wrenches) + drift))
+        measured = read[test.name] - zero
+        size, known_size = float(np.linalg.norm(measured)), float(np.linalg.norm(known))
+        if max(size, known_size) <= 2.0 * margin:
+            continue
+        loads += 1
+        if np.linalg.norm(measured - known) > HALF * known_size + margin:
+            wrong.append((known_size, test, _comparison(measured, known)))
+    if 2 * len(wrong) > loads:
+        size, test, comparison = max(wrong, key=lambda load: load[0])
+        _refuse(campaign, TESTS, test,
+                f"known force of {size:.4g} N is {comparison} (in {len(wrong)} of {loads} tests)")  # fmt: skip
+
+
+def _comparison(measured: Array, known: Array) -> str:
+    """Return the relation of a known force to the measured one, and what may be wrong."""
+    size, known_size = float(np.linalg.norm(measured)), float(np.linalg.norm(known))
+    cosine = float(measured @ known) / max(size * known_size, TINY)
+    times = f"{known_size / max(size, TINY):.4g} times what the sensor read"
+    if UNIT_FACTOR * size < known_size:
+        return f"{times}; millinewtons in a column of newtons?"
+    if size >= HALF * known_size and cosine < -HALF:
+        return ("the opposite of what the sensor read; known forces act on the probe, and readings are what it does to "
+                "its mount: change the sign of one")  # fmt: skip
+    if size >= HALF * known_size and cosine < HALF:
+        return "in another direction than was read; check the base's rotation in campaign.toml, and the columns"
+    return f"{times}; is it the right weight, and are both in newtons?"

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from probedesign.campaigns import Campaign
 from probedesign.campaigns import campaign as tables
@@ -131,6 +132,30 @@ def test_known_weights_in_millinewtons(models, made):
         campaign, lambda test: test if test.force_world is None else replace(test, force_world=1e3 * test.force_world)
     )
     assert "tests.csv: test weight-2: known force of 50 N exceeds the sensor's range" in refusal(heavy, models["large"])
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (3.0 * np.eye(3), "times what the sensor read; is it the right weight"),
+        (0.1 * np.eye(3), "times what the sensor read; is it the right weight"),
+        (-np.eye(3), "the opposite of what the sensor read"),
+        (Rotation.from_euler("x", 90, degrees=True).as_matrix(), "in another direction than was read"),
+    ],
+)
+def test_known_forces_that_contradict_the_readings(models, made, change, words):
+    """Drift and noise change what was read of the lightest load, 18 mN, by less than a fifth. One wrong load alone is
+    an outlier of the fit, and a sensor may have been zeroed with the probe on it."""
+    campaign = in_base(made("large", CampaignPlan("cameras", 1)), models["large"])
+
+    def wrong(test):
+        return test if test.force_world is None else replace(test, force_world=change @ test.force_world)
+
+    line = refusal(changed(campaign, wrong), models["large"])
+    assert "tests.csv: test weight-" in line and words in line
+    assert is_accepted(changed(campaign, lambda t: wrong(t) if t.name == "weight-1" else t), models["large"])
+    free = next(test for test in campaign.tests if test.free).wrenches.mean(axis=0)
+    assert is_accepted(changed(campaign, lambda t: replace(t, wrenches=t.wrenches - free)), models["large"])
 
 
 def test_both_commands_refuse(models, made):
