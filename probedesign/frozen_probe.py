@@ -29,7 +29,7 @@ from probedesign.geometry.mass import MassProperties
 from probedesign.rod.rod import Rod
 
 KIND = "probedesign frozen probe"
-SCHEMA = 5  #: Version of the file format; no other one is read.
+SCHEMA = 6  #: Version of the file format; no other one is read.
 #: Number of equidistant stations of the section table, beside the knots; for people and for the check on load.
 SECTION_STATIONS = 17
 _MAX_BYTES = 10_000_000

@@ -327,7 +327,7 @@ def shorten(parent, key):
     parent[key] = parent[key][:-1]
 
 
-@pytest.mark.parametrize("schema", [0, 1, 2, 3, 4, 6, "5", None, 1e9])
+@pytest.mark.parametrize("schema", [0, 1, 2, 3, 4, 5, "6", None, 1e9])
 def test_another_schema_is_refused(schema, frozen, path):
     line = refused(path, signed({**frozen, "schema": schema}), f"schema {schema!r} is not known")
     assert "probedesign deploy" in line

@@ -159,7 +159,7 @@ def flange_adapter_sheet(model: CadModel, part: CadPart) -> Canvas:
         _holes(p.p_bolts, f"⌀{_mm(bolt.clearance_d)} through"),
         _holes(p.p_mounting_screws, f"⌀{_mm(screw.clearance_d)} through"),
     ]
-    bore = f"counterbore ⌀{_mm(screw.counterbore_d)} , {_mm(grip)} of the plate above it"
+    bore = f"counterbore ⌀{_mm(screw.counterbore_d)}, {_mm(grip)} of the plate above it"
     below = [_holes(p.p_mounting_screws, bore)]
     fits = []
     if p.p_centring_pins:

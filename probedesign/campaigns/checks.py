@@ -159,7 +159,7 @@ def _implausible(test: Test, campaign: Campaign, model: ProbeModel) -> str:
     sag, margin, designed = test.tip_sag, DEVIATIONS * test.std_sag, 0.0
     value, gravity = f"tip_sag_mm = {sag / MM:.4g}", test.gravity_base
     if test.free and gravity.any() and (free := model.rod.solve(gravity)).ok:
-        displacement = free.p_at(length) - np.array([0.0, 0.0, length])
+        displacement = free.p_at(length) - model.rod.sag_origin
         designed = float(displacement @ gravity / np.linalg.norm(gravity))
     if abs(sag) > length * (1.0 + SURFACE_STRETCH) + margin:
         return f"{value}, {_length(model)}; a wrong unit?"

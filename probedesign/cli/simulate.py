@@ -39,7 +39,7 @@ def simulate(
         port: UDP port of RDT; 0 lets the system choose.
         http_port: TCP port of netftapi2.xml; 0 lets the system choose.
         scene: edges, points, card-house or free.
-        seed: seed of noise and drift.
+        seed: seed of noise, drift and friction.
         seconds: end this many seconds after the start.
         pose_to: HOST:PORT to which the base's poses are sent, for live --pose udp://.
         friction: median friction coefficient of the objects; contacts stick and slip. 0 is without friction.

@@ -11,7 +11,7 @@ from scipy.stats import norm
 from scipy.stats import t as student_t
 
 from probedesign.campaigns import Campaign, Test
-from probedesign.campaigns.campaign import TESTS
+from probedesign.campaigns.campaign import TESTS, WRENCHES
 from probedesign.campaigns.checks import check_probe
 from probedesign.campaigns.manifest import WRIST
 from probedesign.core.errors import InputError
@@ -140,6 +140,8 @@ def _epochs(campaign: Campaign, notes: list[str]) -> tuple[dict[str, int], Array
         times = TEST_SECONDS * np.arange(len(read))
         notes += [f"times of tests are not known: {TEST_SECONDS:g} s from one to the next are assumed, in the order of "
                   f"{TESTS}"] * (len(read) > 1)  # fmt: skip
+    elif twins := [test.name for test in read if (times == test.time).sum() > 1]:
+        notes.append(f"{', '.join(twins)}: the same time_s in {WRENCHES}; no drift between them is assumed")
     ranks = np.argsort(times, kind="stable")
     return {read[i].name: k for k, i in enumerate(ranks)}, times[ranks]
 

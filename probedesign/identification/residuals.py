@@ -368,11 +368,11 @@ class SolvedTest:
         return self._whitened("touches", measured.p_touch_world - modelled, J, measured.std_touch**2 * np.eye(3))
 
     def _sag(self) -> Iterator[ResidualBlock]:
-        """Yield the residual of the tip's displacement along gravity from the straight probe on the same base."""
+        """Yield the residual of the tip's displacement along gravity from the designed probe without weight."""
         length, size = self.rod.length, float(np.linalg.norm(self.gravity_base))
         s, down = np.array([length]), self.gravity_base / size
         p, d = self._of_equilibrium(lambda eq: eq.p_at(s)[0], self.eq.d_p_at(s)[0])
-        tip = self.vector(p - [0.0, 0.0, length], d)
+        tip = self.vector(p - self.values.common.model.rod.sag_origin, d)
         gravity = RodVector(self.gravity_base, np.zeros_like(tip.J))
         gravity.J[:, GRAVITY] = np.eye(3)
         scale, sag = 1.0 + self.values.x[SCALE], float(tip.value @ down)

@@ -398,7 +398,7 @@ def tip_sag_mm(estimator: Estimator) -> float | None:
 def tip_sag(free: Equilibrium, rod: Rod, gravity: Array) -> float:
     """Return the displacement of the free tip along gravity from the unloaded probe [m]; 0 without gravity.
 
-    Of a straight probe with a bow it is that from the straight probe, as of measured sags of a campaign (`tip_sag_mm`).
+    It is measured from `Rod.sag_origin`, as the sags of a campaign (`tip_sag_mm`).
 
     Args:
         free: equilibrium without contact.
@@ -407,8 +407,7 @@ def tip_sag(free: Equilibrium, rod: Rod, gravity: Array) -> float:
     """
     if not gravity.any():
         return 0.0
-    unloaded = rod.solve().p_at(rod.length) if rod.is_curved else np.array([0.0, 0.0, rod.length])
-    return float((free.p_at(rod.length) - unloaded) @ gravity / np.linalg.norm(gravity))
+    return float((free.p_at(rod.length) - rod.sag_origin) @ gravity / np.linalg.norm(gravity))
 
 
 def _detection(touches: Touches, i: int, line: tuple[float, str], max_force: float | None) -> Detection:

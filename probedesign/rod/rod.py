@@ -128,6 +128,14 @@ class Rod:
         u = self.rest_curvature
         return u is not None and float(np.abs(u[:, :2]).max()) * self.length > 0.1
 
+    @cached_property
+    def sag_origin(self) -> Array:
+        """Return the tip from which a sag is measured, in base axes [m], (3,): that of the unloaded rod.
+
+        Of a straight rod with a bow it is the tip of the straight one, so that a measured sag shows the bow.
+        """
+        return self.solve().p_at(self.length) if self.is_curved else np.array([0.0, 0.0, self.length])
+
     @property
     def flank_end(self) -> float:
         """Return the largest arclength at which a frictionless contact acts [m]."""

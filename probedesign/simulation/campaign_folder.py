@@ -121,9 +121,9 @@ def _known(column: str, std_column: str, value: float, std: float, rng: np.rando
 
 
 def _sag(truth: GroundTruth, test: SimulatedTest) -> float:
-    """Return the displacement of the tip along gravity from the straight probe [m]."""
-    length = truth.rod.length
-    tip, down = test.equilibrium.p_at(length) - np.array([0.0, 0.0, length]), test.bench.gravity_base
+    """Return the displacement of the tip along gravity from the probe as designed, without weight [m]."""
+    origin, down = truth.model.rod.sag_origin, test.bench.gravity_base
+    tip = test.equilibrium.p_at(truth.rod.length) - origin
     return (1.0 + truth.flaws.length_scale) * float(tip @ down / np.linalg.norm(down))
 
 

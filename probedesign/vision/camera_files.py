@@ -165,7 +165,7 @@ def _from_opencv(path: Path, text: str) -> dict[str, Any]:
 
     nested = accumulate(1 if each[-1] not in "]}/>" else -1 for each in re.findall(r"[][{}]|<(?=\w)|</|/>", text))
     damaged = InputError(f"{path}: is not a calibration file of OpenCV, or is cut off")
-    if max(nested, default=0) > MAX_DEPTH:
+    if max(nested, default=0) > MAX_DEPTH or re.search(rf"(?:-[ \t]+){{{MAX_DEPTH}}}", text):
         raise damaged
     try:
         storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
@@ -251,10 +251,13 @@ def _camera(document: _Document, name: str, K: Array, bends: Array, size: tuple[
 def _size(document: _Document) -> tuple[int, int] | None:
     width, height, both = document.key(WIDTH), document.key(HEIGHT), document.key(SIZE)
     if width and height:
-        return int(document.number(width)), int(document.number(height))
-    if both is None:
+        size = np.array([document.number(width), document.number(height)])
+    elif both is not None:
+        size = document.numbers(both, (2,))
+    else:
         return None
-    size = document.numbers(both, (2,)).astype(int)
+    if (size < 16).any() or (size % 1).any():
+        raise document.fail(f"picture size {size[0]:g} x {size[1]:g} is not one of whole pixels")
     return int(size[0]), int(size[1])
 
 

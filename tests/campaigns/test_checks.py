@@ -7,13 +7,15 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from probedesign.campaigns import Campaign
+from probedesign import build_probe, new
+from probedesign.campaigns import Campaign, read_campaign
 from probedesign.campaigns import campaign as tables
 from probedesign.campaigns.checks import check_probe
 from probedesign.core.errors import InputError
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.model import ProbeModel
 from probedesign.identification.identify import data_of
+from probedesign.simulation.campaign_folder import make_campaign
 from probedesign.simulation.ground_truth import CampaignPlan
 from probedesign.validation.validate import validate
 
@@ -65,6 +67,14 @@ def test_valid_campaigns_are_accepted(models, made, name, plan):
     campaign = made(name, plan)
     assert is_accepted(campaign, models[name])
     assert is_accepted(in_base(campaign, models[name]), models[name])
+
+
+def test_the_sag_of_a_curved_probe_is_that_from_its_own_axis(tmp_path):
+    """Pointing down, the tip of this arc is 54 mm above that of a straight probe."""
+    probe = build_probe(new(length_mm=150.0, base_d_mm=12.0, axis="arc", axis_bend_deg=90.0, points="down"))
+    campaign = read_campaign(make_campaign(probe.model, tmp_path / "arc", CampaignPlan("cameras", 1)).folder)
+    assert max(test.tip_sag for test in campaign.tests if test.free) > 0.0
+    assert is_accepted(campaign, probe.model)
 
 
 @pytest.mark.parametrize("name", NAMES)
