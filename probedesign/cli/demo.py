@@ -232,7 +232,7 @@ def _explore(bundle: Path, folder: Path, skipped: list[str]) -> tuple[list[Path]
     from probedesign.cli.explore import FILES, explore
     from probedesign.cli.options import BaseOptions, ReadingOptions, RehearsalOptions
 
-    rehearsal, maps, printed = folder / "rehearsal", folder / "found", io.StringIO()
+    rehearsal, maps, printed = folder / "rehearsal", folder / "map", io.StringIO()
     try:
         with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(io.StringIO()):
             explore(bundle, rehearsal=RehearsalOptions(rehearse=rehearsal), force=True)

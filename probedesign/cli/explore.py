@@ -98,7 +98,8 @@ def explore(
     explorations = _explorations(bundles, manifest, base, 1e-3 * apart_mm, one_object)
     models = [each.estimator.model for each in explorations.values()]
     if rehearsal is not None and rehearsing:
-        return print(f"wrote {', '.join(map(str, rehearsal.write(models, base, one_object, force)))}")
+        files = [str(file) for file in rehearsal.write(models, base, one_object, force)]
+        return print_json({"files": files}) if as_json else print(f"wrote {', '.join(files)}")
     publisher, titles, sources = open_publisher(suggestion.publish, models, print_note), list[str](), set[str]()
     recorded = {name: recordings[min(i, len(recordings) - 1)] for i, name in enumerate(explorations) if recordings}
     answer = partial(_understood, explorations, suggestion, mesh, publisher, processing is None)

@@ -15,7 +15,7 @@ from probedesign.core.files import check_folder, exports_of
 
 #: What a file of an export is used for, by its suffix.
 FILE_USES = {".3mf": "print", ".stl": "print", ".step": "CAD", ".html": "view", ".glb": "view", ".svg": "view",
-             ".png": "view", ".csv": "record", ".json": "record"}  # fmt: skip
+             ".csv": "record", ".json": "record"}  # fmt: skip
 
 
 def check(design: DesignFile, /, *, as_json: JsonOutput = False) -> int:

@@ -279,7 +279,7 @@ class TableRows:
         if not text or text.isspace():
             return float("nan")
         if not NUMBER.fullmatch(text) or abs(value := float(text)) == float("inf"):
-            remedy = "write a number with a decimal point, or leave an optional cell empty"
+            remedy = "write a number with a decimal point; only an optional cell may be empty"
             self.fail(row, f"{column.name} = {quoted(text.strip())} is not a finite number; {remedy}")
         if abs(value * column.factor) > column.ceiling:
             self.fail(row, f"{column.name} = {value:g} is implausibly large; raw counts or a wrong unit?")

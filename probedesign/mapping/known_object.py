@@ -252,10 +252,11 @@ def _fitted(
         axis = np.cross(touches.force, normals)
         axis /= np.maximum(np.linalg.norm(axis, axis=1, keepdims=True), 1e-12)
         turned = axis * (np.arccos(cosine) / std_force)[:, None]
-        off = np.linalg.norm(np.einsum("nab,nb->na", W_each, beside), axis=1)
-        return np.concatenate([W @ distance, off, turned.ravel(), W_prior @ by])
+        lateral = np.linalg.norm(np.einsum("nab,nb->na", W_each, beside), axis=1)
+        return np.concatenate([W @ distance, lateral, turned.ravel(), W_prior @ by])
 
     scale = np.array([1e-3] * 3 + [1e-3 / of.gyration] * 3)
+    # The loss of scipy softens the prior too; the fit of the touches that stay has the full one.
     loss: Literal["huber", "linear"] = "huber" if robust else "linear"
     fit = least_squares(residuals, start, x_scale=scale, ftol=1e-4, max_nfev=15, loss=loss, f_scale=2.0)
     jac = np.delete(np.asarray(fit.jac), np.arange(n, 2 * n), axis=0)  # beside a face is a bound, not a measurement

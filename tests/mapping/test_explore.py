@@ -14,6 +14,7 @@ import pytest
 import trimesh
 
 from probedesign.cli.main import run
+from probedesign.cli.options import RehearsalOptions
 from probedesign.core.errors import InputError
 from probedesign.core.statistics import max_chi2
 from probedesign.core.units import MM
@@ -33,6 +34,12 @@ from probedesign.mapping.explore import Exploration, followed_update
 def arguments(probe, folder, *more, poses="poses.csv"):
     return ["explore", str(probe), str(folder / "house.mcap"), "--pose", str(folder / poses), "--average", "36",
             "--tare-s", "0.5:3.5", *map(str, more)]  # fmt: skip
+
+
+def test_a_rehearsal_prints_one_document(probe, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(RehearsalOptions, "write", lambda self, *_: [self.rehearse / "house.mcap"])
+    assert run(["explore", str(probe), "--rehearse", str(tmp_path), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == {"files": [str(tmp_path / "house.mcap")]}
 
 
 @pytest.fixture(scope="module")
